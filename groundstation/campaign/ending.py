@@ -112,13 +112,13 @@ def _plan(done: Round) -> Plan | None:
 
 
 def _settled(rounds: Sequence[Round]) -> str:
-    return f"Settled after {_flown(rounds)}; targets met.{_would_not_have_shown(rounds[-1])}"
+    return f"Settled after {_flown(rounds)}; targets met.{_may_have_missed(rounds[-1])}"
 
 
 def _at_limit(rounds: Sequence[Round]) -> str:
     done = rounds[-1]
     missed = [name for name, share in done.reached.items() if share > 1.0]
-    return f"Ended after {_flown(rounds)}; {_not_sharp(done)[0]}.{_would_not_have_shown(done)}{_no_matter(missed)}"
+    return f"Ended after {_flown(rounds)}; {_not_sharp(done)[0]}.{_may_have_missed(done)}{_no_matter(missed)}"
 
 
 def _exhausted(campaign: Campaign, done: Round) -> str:
@@ -127,7 +127,7 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
     Where less than one would do although one was just flown, the interval is not one of noise.
     """
     count = len(campaign.rounds) + 1
-    text = f"Not settled after {count} flights: {'; '.join(done.not_settled)}.{_would_not_have_shown(done)}"
+    text = f"Not settled after {count} flights: {'; '.join(done.not_settled)}.{_may_have_missed(done)}"
     if beyond := _beyond_noise(campaign, done):
         text += _no_matter(beyond)
     far = {name: count for name, count in _needed(campaign, done).items() if count >= 1.0}
@@ -153,12 +153,12 @@ def _flown(rounds: Sequence[Round]) -> str:
     return f"{len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found {names}"
 
 
-def _would_not_have_shown(done: Round) -> str:
-    """What the flights so far would not have shown: the effects that could be largest, and below what size."""
+def _may_have_missed(done: Round) -> str:
+    """What the flights so far may have missed: the effects that could be largest, and below what size."""
     largest = sorted(done.would_show, key=lambda told: -told["share"])
     each = dict[str, str]()
     for told in largest:
         size = f"below {significant(told['least'], 2)} {split_unit(told['parameter'])[1]}".strip()
         name = f"{told['effect'].replace('_', ' ')} ({label(told['parameter'])})"
         each.setdefault(told["effect"], f"{name} {size if told['share'] < 1.0 else 'of any size'}")
-    return f" They would not have shown: {', '.join(list(each.values())[:MISSED])}." if each else ""
+    return f" They may have missed: {', '.join(list(each.values())[:MISSED])}." if each else ""

@@ -91,6 +91,7 @@ class Selection:
         self.small = set(small)
         self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
+        self._beside_forms: dict[tuple[frozenset[int], int], float] = {}
         self._beaten: list[tuple[set[Kind], float]] = []
 
     def threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
@@ -160,7 +161,12 @@ class Selection:
 
     def _margins_beside_forms(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[float]:
         """Those of small effects beside a set."""
-        return margins_beside_forms(self.evidence, [*self.baseline, *chosen], entries, self.threshold)
+        there = frozenset(columns.number for _, columns in chosen)
+        new = [entry for entry in entries if (there, entry[1].number) not in self._beside_forms]
+        if new:
+            found = margins_beside_forms(self.evidence, [*self.baseline, *chosen], new, self.threshold)
+            self._beside_forms |= {(there, entry[1].number): m for entry, m in zip(new, found, strict=True)}
+        return [self._beside_forms[there, columns.number] for _, columns in entries]
 
     def needed(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
         """Wald statistic from which an entry of these values would stand beside a set."""

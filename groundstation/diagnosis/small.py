@@ -42,9 +42,7 @@ def margins_beside_forms(
     forms = [form.entry for form in misshapen(evidence, others, evidence.solve(others))]
     out = [-np.inf] * len(entries)
     for found in beside(evidence, [*others, *forms], entries):
-        for place, index, wald, right in zip(
-            range(len(found.index)), found.index, found.walds(), found.plausible(), strict=True
-        ):
+        for index, wald, right in zip(found.index, found.walds(), found.plausible(), strict=True):
             if not right:
                 continue
             candidate, columns = entries[index]
