@@ -212,10 +212,7 @@ class Selection:
         return entries[best] if margins and margins[best] > 0.0 else None
 
     def _beating_chance(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[Entry]:
-        """Those of some, but of no instant that was looked for, that beat chance beside a set: what begins at any
-        moment fits to whatever a formula misses at one.
-        """
-        entries = [entry for entry in entries if not began_once(entry)]
+        """Those of some that beat chance beside a set."""
         out: list[Entry] = []
         for found in beside(self.evidence, [*self.baseline, *chosen], entries):
             right = found.plausible() & found.material(self.evidence.scale)
