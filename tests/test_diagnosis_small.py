@@ -56,7 +56,7 @@ def test_an_effect_in_the_shape_of_a_form_does_not_stand(selection):
     evidence, chosen = selection.evidence, [_entry(selection, name) for name in ("com_offset", "climb_inflow")]
     forms = [form.entry for form in misshapen(evidence, chosen, evidence.solve(chosen))]
     assert len(forms) > 10
-    margins = margins_beside_forms(evidence, chosen, forms, lambda candidate, columns, members: 0.0)
+    margins = margins_beside_forms(evidence, chosen, forms, forms, lambda candidate, columns, members: 0.0)
     assert max(margins) < 9.0, "three deviations of one that is estimated twice"
 
 

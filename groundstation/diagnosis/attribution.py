@@ -14,6 +14,7 @@ from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.held_out import held_out
+from groundstation.diagnosis.left_open import forms_of
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
     Entry,
@@ -92,6 +93,7 @@ class Selection:
         self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
         self._beside_forms: dict[tuple[frozenset[int], int], float] = {}
+        self._forms: dict[int, list[Entry]] = {}
         self._beaten: list[tuple[set[Kind], float]] = []
 
     def threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
@@ -164,9 +166,26 @@ class Selection:
         there = frozenset(columns.number for _, columns in chosen)
         new = [entry for entry in entries if (there, entry[1].number) not in self._beside_forms]
         if new:
-            found = margins_beside_forms(self.evidence, [*self.baseline, *chosen], new, self.threshold)
+            others = [*self.baseline, *chosen]
+            forms = self._forms_beside(others)
+            found = margins_beside_forms(self.evidence, others, forms, new, self.threshold)
             self._beside_forms |= {(there, entry[1].number): m for entry, m in zip(new, found, strict=True)}
         return [self._beside_forms[there, columns.number] for _, columns in entries]
+
+    def _forms_beside(self, others: Sequence[Entry]) -> list[Entry]:
+        """The forms of those whose formula may leave more than noise does; of each by the size that it first had."""
+        solution, first = self.evidence.solve(others), 0
+        out: list[Entry] = []
+        for candidate, columns in others:
+            count = len(candidate.effect.parameters)
+            values = solution.part(first, count)[0]
+            first += count
+            if columns.number not in self._forms:
+                missed = THRESHOLDS.form_error_share**2 * self.discrepancy.energy(columns, values).sum()
+                shown = missed > 1.0
+                self._forms[columns.number] = list(forms_of(self.evidence, candidate, values)) if shown else []
+            out += self._forms[columns.number]
+        return out
 
     def needed(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
         """Wald statistic from which an entry of these values would stand beside a set."""

@@ -157,14 +157,18 @@ def misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -
         values = solution.part(first, count)[0]
         own = slice(solution.base + first, solution.base + first + count)
         first += count
-        forms_of = list(_forms(candidate, values))
-        for forms, together in zip(forms_of, evidence.columns_of(forms_of), strict=True):
-            if together is None:
-                continue
-            for entry in _one_by_one(evidence, forms, together):
-                shape = np.zeros((len(solution.theta), 1))
-                shape[own] = _in_shape(entry[1].sensitivity, columns.sensitivity)
-                yield Form(entry, shape)
+        for entry in forms_of(evidence, candidate, values):
+            shape = np.zeros((len(solution.theta), 1))
+            shape[own] = _in_shape(entry[1].sensitivity, columns.sensitivity)
+            yield Form(entry, shape)
+
+
+def forms_of(evidence: Evidence, candidate: Candidate, values: Array) -> Iterator[Entry]:
+    """The forms of one effect of these values, each with one parameter: the share by which it takes it."""
+    forms = list(_forms(candidate, values))
+    for each, together in zip(forms, evidence.columns_of(forms), strict=True):
+        if together is not None:
+            yield from _one_by_one(evidence, each, together)
 
 
 def _in_shape(form: Array, own: Array) -> Array:

@@ -22,13 +22,13 @@ import numpy as np
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.evidence import Evidence
-from groundstation.diagnosis.left_open import misshapen
 from groundstation.diagnosis.rivals import Entry
 
 
 def margins_beside_forms(
     evidence: Evidence,
     others: Sequence[Entry],
+    forms: Sequence[Entry],
     entries: Sequence[Entry],
     threshold: Callable[[Candidate, Columns, Sequence[int]], float],
 ) -> list[float]:
@@ -36,18 +36,17 @@ def margins_beside_forms(
     is implausible then.
 
     Args:
-        others: what is there in any case and what was chosen, without any of the entries.
+        others: what is there in any case and what was chosen, without any of the entries. forms: of these.
         threshold: Wald statistic of some parameters of an entry that chance passes too rarely.
     """
-    forms = [form.entry for form in misshapen(evidence, others, evidence.solve(others))]
+    there = [*others, *forms]
     out = [-np.inf] * len(entries)
-    for found in beside(evidence, [*others, *forms], entries):
+    for found in beside(evidence, there, entries):
         for index, wald, right in zip(found.index, found.walds(), found.plausible(), strict=True):
             if not right:
                 continue
-            candidate, columns = entries[index]
-            together = [*others, *forms, entries[index]]
-            left = evidence.mean_square(evidence.remainder(together, evidence.solve(together)), columns)
-            least = threshold(candidate, columns, found.telling)
-            out[index] = float(wald) / max(1.0, left) - least
+            entry = entries[index]
+            rest = evidence.remainder([*there, entry], evidence.solve([*there, entry]))
+            left = evidence.mean_square(rest, entry[1])
+            out[index] = float(wald) / max(1.0, left) - threshold(*entry, found.telling)
     return out
