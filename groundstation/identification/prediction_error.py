@@ -364,9 +364,10 @@ def _searched(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptio
     look = _first_look([coarser(model) for model in models], vehicle, first)
     best = fit(models, look.parameters, options, noise_of(look, models, options))
     for _ in range(DIVISIONS):
-        noise = noise_of(best, models, options)
-        others = [fit(models, start, options, noise) for start in divided_anew(models, best, options)]
-        again = min(others, key=lambda found: found.cost, default=best)
+        start = divided_anew(models, best, options)
+        if start is best.parameters:
+            break
+        again = fit(models, start, options, noise_of(best, models, options))
         if again.cost >= best.cost:
             break
         best = again
@@ -394,26 +395,19 @@ DIVISIONS = 3
 """Of the total into lag and dead time that are followed to their minimum, at most."""
 DIVISION_S = 0.002
 """Between dead times that are tried: minima lie ten milliseconds apart, and are four wide."""
-VALLEYS = 2
-"""Of the misfit over the dead time that are looked into, the lowest first."""
 
 
-def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> list[Parameters]:
-    """The parameters found, with dead time and lags, of the same sum, at the other minima of the misfit.
-
-    Only the timing is another there. What else is free has settled beside the timing found, which favours that one by
-    hundreds of nats, so that the lowest of them need not be the likeliest once all is fitted.
-    """
+def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
+    """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
     p, noise = found.parameters, noise_of(found, models, options)
     problem = Problem(tuple(models), options, p)
-    last = min(p.lag_up_s, p.lag_down_s) / DIVISION_S
-    shifts = DIVISION_S * np.arange(-np.floor(max(p.delay_s, 0.0) / DIVISION_S), last)
-    tried = [replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts]
-    misfits = problem.misfits(tried, noise)
-    around: Array = np.concatenate([[np.inf], misfits, [np.inf]])
-    minima = np.flatnonzero((misfits < around[:-2]) & (misfits < around[2:]) & (np.abs(shifts) > 0.5 * DIVISION_S))
-    lowest = minima[np.argsort(misfits[minima])][:VALLEYS]
-    return [tried[index] for index in lowest.tolist()]
+    shifts = DIVISION_S * np.arange(
+        -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S
+    )
+    tried = [p] + [
+        replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
+    ]
+    return tried[int(np.argmin(problem.misfits(tried, noise)))]
 
 
 SHOOTING_S = 2.0
