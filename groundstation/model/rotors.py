@@ -90,7 +90,11 @@ def motor_input(
     step_s: float = FINE_STEP_S,
     hover: float = 1.0,
 ) -> MotorInput:
-    """Put recorded motor values on a uniform grid: hold commands, interpolate measured speeds.
+    """Put recorded motor values on a uniform grid: commands held and averaged over each step, measured speeds
+    interpolated.
+
+    A command that is stamped within a step holds from there: taken for the whole step, or left out of it, it would act
+    up to a step early or late, at random where stamps that lie on the grid jitter.
 
     Args:
         t_s: strictly increasing stamps, shape (m,).
@@ -104,9 +108,24 @@ def motor_input(
     if measured:
         value = resampled(grid, t_s, values)
     else:
-        index = np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)
-        value = values[index]
+        value = _held(grid, step_s, t_s, np.asarray(values, dtype=float))
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
+
+
+def _held(grid: Array, step_s: float, t_s: Array, values: Array) -> Array:
+    """Mean over each step of the grid of values that hold from stamp to stamp, (k, n)."""
+    first, last = (np.searchsorted(t_s, grid + end, side="right") - 1 for end in (1e-9, step_s - 1e-9))
+    out: Array = values[first]
+    within = np.flatnonzero(last > first)
+    done: Array = np.zeros_like(values)
+    np.cumsum(np.diff(t_s)[:, None] * values[:-1], axis=0, out=done[1:])
+
+    def until(index: NDArray[np.int64], t: Array) -> Array:
+        return done[index] + values[index] * (t - t_s[index])[:, None]
+
+    begin = grid[within]
+    out[within] = (until(last[within], begin + step_s) - until(first[within], begin)) / step_s
+    return out
 
 
 @njit(cache=True, nogil=True)
