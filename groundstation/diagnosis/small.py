@@ -1,7 +1,7 @@
 r"""What a small effect has to show beside larger ones, where their formulas may leave as much as it explains.
 
 :mod:`.discrepancy` allows the formulas of others to miss a share of their amplitude in whatever shape looks most like
-the effect in question: no effect of less than a hundredth of their energy stands beside them. Two things are known of what a
+the effect in question: none of less than a hundredth of their energy stands beside them. Two things are known of what a
 formula misses, though. It takes a form: it goes with a power of the speed, the height, the thrust or the rates, or acts
 on one axis (:mod:`.left_open`). Those are estimated along, and an effect in such a shape goes into them. And a formula
 that misses something else leaves that in no effect's shape alone: it shows in the residual. So the mean square r of
