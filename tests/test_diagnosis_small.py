@@ -48,7 +48,7 @@ def test_an_effect_that_no_form_of_a_larger_one_looks_like_stands(selection):
     assert selection._margins_of_each([large], [small])[0] < 0.0, "a tenth of the offset's amplitude is more"
     names = {candidate.identifier for candidate, _ in selection.choose()}
     assert names == {"com_offset", "climb_inflow"}
-    assert selection.small == {("climb_inflow", None)}
+    assert selection.small.kinds == {("climb_inflow", None)}
 
 
 def test_an_effect_in_the_shape_of_a_form_does_not_stand(selection):

@@ -14,7 +14,6 @@ from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.held_out import held_out
-from groundstation.diagnosis.left_open import forms_of
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
     Entry,
@@ -30,7 +29,7 @@ from groundstation.diagnosis.rivals import (
     posterior,
     preferred,
 )
-from groundstation.diagnosis.small import margins_beside_forms
+from groundstation.diagnosis.small import SmallEffects
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
@@ -87,13 +86,11 @@ class Selection:
                 self.pool.append((candidate, columns))
         progress(1.0)
         self.discrepancy = Discrepancy(evidence)
+        self.small = SmallEffects(evidence, self.discrepancy, self.threshold, small)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
-        self.small = set(small)
         self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
-        self._beside_forms: dict[tuple[frozenset[int], int], float] = {}
-        self._forms: dict[int, list[Entry]] = {}
         self._beaten: list[tuple[set[Kind], float]] = []
 
     def threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
@@ -140,9 +137,9 @@ class Selection:
             chance = self.threshold(candidate, columns, telling)
             beyond = solution.wald(first, telling) - chance
             margin = beyond - allowance(energies[index], others)
-            if margin <= 0.0 < beyond and kind_of(chosen[index]) in self.small:
+            if margin <= 0.0 < beyond and kind_of(chosen[index]) in self.small.kinds:
                 rest = [*chosen[:index], *chosen[index + 1 :]]
-                margin = max(margin, *self._margins_beside_forms(rest, [chosen[index]]))
+                margin = max(margin, *self.small.margins([*self.baseline, *rest], [chosen[index]]))
             out.append(margin)
         return out
 
@@ -159,32 +156,6 @@ class Selection:
                 if right[place] and self._has_prerequisites(candidate, [*chosen, entries[index]]):
                     least = self.threshold(candidate, columns, candidate.effect.telling())
                     out[index] = float(walds[place]) - least - allowance(energies[place], others)
-        return out
-
-    def _margins_beside_forms(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[float]:
-        """Those of small effects beside a set."""
-        there = frozenset(columns.number for _, columns in chosen)
-        new = [entry for entry in entries if (there, entry[1].number) not in self._beside_forms]
-        if new:
-            others = [*self.baseline, *chosen]
-            forms = self._forms_beside(others)
-            found = margins_beside_forms(self.evidence, others, forms, new, self.threshold)
-            self._beside_forms |= {(there, entry[1].number): m for entry, m in zip(new, found, strict=True)}
-        return [self._beside_forms[there, columns.number] for _, columns in entries]
-
-    def _forms_beside(self, others: Sequence[Entry]) -> list[Entry]:
-        """The forms of those whose formula may leave more than noise does; of each by the size that it first had."""
-        solution, first = self.evidence.solve(others), 0
-        out: list[Entry] = []
-        for candidate, columns in others:
-            count = len(candidate.effect.parameters)
-            values = solution.part(first, count)[0]
-            first += count
-            if columns.number not in self._forms:
-                missed = THRESHOLDS.form_error_share**2 * self.discrepancy.energy(columns, values).sum()
-                shown = missed > 1.0
-                self._forms[columns.number] = list(forms_of(self.evidence, candidate, values)) if shown else []
-            out += self._forms[columns.number]
         return out
 
     def needed(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
@@ -226,7 +197,7 @@ class Selection:
         """The best of those that stand as small effects do beside what was chosen."""
         taken = {c.identifier for c, _ in chosen} | refuted
         entries = self._beating_chance(chosen, [entry for entry in self.pool if entry[0].identifier not in taken])
-        margins = self._margins_beside_forms(chosen, entries) if chosen and entries else []
+        margins = self.small.margins([*self.baseline, *chosen], entries) if chosen and entries else []
         best = int(np.argmax(margins)) if margins else 0
         return entries[best] if margins and margins[best] > 0.0 else None
 
@@ -247,9 +218,9 @@ class Selection:
             return True
         rest = [*chosen[:index], *chosen[index + 1 :]]
         entries = self._beating_chance(rest, [chosen[index]]) if rest else []
-        if not entries or self._margins_beside_forms(rest, entries)[0] <= 0.0:
+        if not entries or self.small.margins([*self.baseline, *rest], entries)[0] <= 0.0:
             return False
-        self.small.add(kind_of(chosen[index]))
+        self.small.kinds.add(kind_of(chosen[index]))
         return True
 
     def choose(self) -> list[Entry]:
@@ -325,7 +296,7 @@ class Selection:
             entry = self._best_addition(chosen, refuted) if len(chosen) < THRESHOLDS.effects_most else None
             if entry is None and len(chosen) < THRESHOLDS.effects_most:
                 entry = self._best_small(chosen, refuted)
-                self.small |= {kind_of(entry)} if entry else set()
+                self.small.kinds |= {kind_of(entry)} if entry else set()
             if entry is None:
                 break
             *_, entry = refined = self._refined([*chosen, entry], len(chosen))

@@ -112,7 +112,7 @@ class Selected:
         Confidence below a half says the first. The size is told by the interval that holds what formulas and
         explanations beside the findings leave open, too: such a number makes up for what another's formula misses.
         """
-        small = self.selection.small
+        small = self.selection.small.kinds
         doubted = [
             (n.confidence < 0.5 and not n.alternatives) or kind_of((n.candidate, n.columns)) in small
             for n in self.named
@@ -231,7 +231,7 @@ def _confirmed(selection: Selection, chosen: list[Entry], case: Case, augmented:
     evidence = by_what_is_left(selection.evidence, selection.baseline, chosen)
     vehicle = case.suspects[0].record.vehicle
     baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))
-    again = Selection(evidence, (), baseline, variants=selection.variants, small=selection.small)
+    again = Selection(evidence, (), baseline, variants=selection.variants, small=selection.small.kinds)
     left = again.still_significant([candidate for candidate, _ in chosen])
     return [entry for entry in chosen if entry[0] in left]
 

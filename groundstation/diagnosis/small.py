@@ -15,14 +15,63 @@ knows already how few values lie in those bands (:meth:`.Evidence.threshold`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
+from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.evidence import Evidence
-from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.left_open import forms_of
+from groundstation.diagnosis.rivals import Entry, Kind
+from groundstation.diagnosis.thresholds import THRESHOLDS
+
+Threshold = Callable[[Candidate, Columns, Sequence[int]], float]
+"""Wald statistic of some parameters of an entry that chance passes too rarely."""
+
+
+class SmallEffects:
+    """Those of a selection.
+
+    Args:
+        kinds: what stands so already.
+    """
+
+    def __init__(self, evidence: Evidence, discrepancy: Discrepancy, threshold: Threshold, kinds: Iterable[Kind]):
+        self.kinds = set(kinds)
+        self._evidence, self._discrepancy, self._threshold = evidence, discrepancy, threshold
+        self._margins: dict[tuple[frozenset[int], int], float] = {}
+        self._forms: dict[int, list[Entry]] = {}
+
+    def margins(self, others: Sequence[Entry], entries: Sequence[Entry]) -> list[float]:
+        """By how much each of several entries beats chance beside the forms of others; -inf where it is implausible
+        then.
+
+        Args:
+            others: what is there in any case and what was chosen, without any of the entries.
+        """
+        there = frozenset(columns.number for _, columns in others)
+        new = [entry for entry in entries if (there, entry[1].number) not in self._margins]
+        if new:
+            found = margins_beside_forms(self._evidence, others, self._forms_beside(others), new, self._threshold)
+            self._margins |= {(there, entry[1].number): m for entry, m in zip(new, found, strict=True)}
+        return [self._margins[there, columns.number] for _, columns in entries]
+
+    def _forms_beside(self, others: Sequence[Entry]) -> list[Entry]:
+        """The forms of those whose formula may leave more than noise does; of each by the size that it first had."""
+        solution, first = self._evidence.solve(others), 0
+        out: list[Entry] = []
+        for candidate, columns in others:
+            count = len(candidate.effect.parameters)
+            values = solution.part(first, count)[0]
+            first += count
+            if columns.number not in self._forms:
+                missed = THRESHOLDS.form_error_share**2 * self._discrepancy.energy(columns, values).sum()
+                shown = missed > 1.0
+                self._forms[columns.number] = list(forms_of(self._evidence, candidate, values)) if shown else []
+            out += self._forms[columns.number]
+        return out
 
 
 def margins_beside_forms(
@@ -30,14 +79,13 @@ def margins_beside_forms(
     others: Sequence[Entry],
     forms: Sequence[Entry],
     entries: Sequence[Entry],
-    threshold: Callable[[Candidate, Columns, Sequence[int]], float],
+    threshold: Threshold,
 ) -> list[float]:
     """By how much each of several entries beats chance where the forms of the others are estimated along; -inf where it
     is implausible then.
 
     Args:
         others: what is there in any case and what was chosen, without any of the entries. forms: of these.
-        threshold: Wald statistic of some parameters of an entry that chance passes too rarely.
     """
     there = [*others, *forms]
     out = [-np.inf] * len(entries)
