@@ -81,7 +81,7 @@ def test_a_form_in_its_effects_own_shape_is_the_same_effect_of_another_size(evid
     monkeypatch.setattr(module, "QUANTITIES", constant)
     chosen = _entries(evidence, "climb_inflow")
     solution = evidence.solve(chosen)
-    forms = list(module.misshapen(evidence, chosen, solution))
+    forms = list(module._misshapen(evidence, chosen, solution))
     by_constant = [form for form in forms if "a constant" in form.entry[0].identifier]
     assert by_constant
     for form in by_constant:
@@ -97,7 +97,7 @@ def test_an_effect_that_pushes_in_one_direction_has_forms_of_its_own(evidence):
     assert columns is not None
     chosen = [(candidate, columns)]
     forms = {
-        form.entry[0].identifier: form.entry[1] for form in module.misshapen(evidence, chosen, evidence.solve(chosen))
+        form.entry[0].identifier: form.entry[1] for form in module._misshapen(evidence, chosen, evidence.solve(chosen))
     }
     assert {"weak_rotor, loss by thrust", "weak_rotor, row 2", "weak_rotor, row 5"} <= set(forms)
     own, twisted = columns.sensitivity[:, 0], forms["weak_rotor, row 5"].sensitivity[:, 0]

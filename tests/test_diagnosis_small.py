@@ -12,7 +12,7 @@ from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
-from groundstation.diagnosis.left_open import misshapen
+from groundstation.diagnosis.left_open import forms_of
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.small import margins_beside_forms
 from groundstation.identification.dynamic_fit import fit_dynamics
@@ -54,7 +54,9 @@ def test_an_effect_that_no_form_of_a_larger_one_looks_like_stands(selection):
 def test_an_effect_in_the_shape_of_a_form_does_not_stand(selection):
     """The forms of the inflow, one by one, beside all of them."""
     evidence, chosen = selection.evidence, [_entry(selection, name) for name in ("com_offset", "climb_inflow")]
-    forms = [form.entry for form in misshapen(evidence, chosen, evidence.solve(chosen))]
+    solution, forms = evidence.solve(chosen), list[Entry]()
+    for first, count, (candidate, _) in ((0, 2, chosen[0]), (2, 1, chosen[1])):
+        forms += forms_of(evidence, candidate, solution.part(first, count)[0])
     assert len(forms) > 10
     margins = margins_beside_forms(evidence, chosen, forms, forms, lambda candidate, columns, members: 0.0)
     assert max(margins) < 9.0, "three deviations of one that is estimated twice"

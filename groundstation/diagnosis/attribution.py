@@ -86,8 +86,8 @@ class Selection:
                 self.pool.append((candidate, columns))
         progress(1.0)
         self.discrepancy = Discrepancy(evidence)
-        self.small = SmallEffects(evidence, self.discrepancy, self.threshold, small)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
+        self.small = SmallEffects(evidence, self.discrepancy, self.lag, self.threshold, small)
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
         self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
@@ -195,9 +195,11 @@ class Selection:
 
     def _best_small(self, chosen: Sequence[Entry], refuted: set[str]) -> Entry | None:
         """The best of those that stand as small effects do beside what was chosen."""
+        if not chosen:
+            return None
         taken = {c.identifier for c, _ in chosen} | refuted
         entries = self._beating_chance(chosen, [entry for entry in self.pool if entry[0].identifier not in taken])
-        margins = self.small.margins([*self.baseline, *chosen], entries) if chosen and entries else []
+        margins = self.small.margins([*self.baseline, *chosen], entries) if entries else []
         best = int(np.argmax(margins)) if margins else 0
         return entries[best] if margins and margins[best] > 0.0 else None
 

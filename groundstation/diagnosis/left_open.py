@@ -64,7 +64,7 @@ part of it in the rotor's plane.
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class _Beside:
     """What may be there beside the chosen.
 
     Attributes:
@@ -88,9 +88,9 @@ def left_open(
     """
     named = evidence.solve(chosen)
     size = len(named.theta)
-    forms = list(misshapen(evidence, chosen, named))
-    choice = [*(Form(entry, np.zeros((size, len(entry[0].effect.parameters)))) for entry in pool), *forms]
-    along: list[Form] = []
+    forms = list(_misshapen(evidence, chosen, named))
+    choice = [*(_Beside(entry, np.zeros((size, len(entry[0].effect.parameters)))) for entry in pool), *forms]
+    along: list[_Beside] = []
     total, spread = 0.0, np.zeros((size, size))
     for _ in range(THRESHOLDS.effects_most):
         taken = [*chosen, *(each.entry for each in along)]
@@ -109,7 +109,7 @@ def left_open(
 
 
 def _seen_by(
-    evidence: Evidence, chosen: Sequence[Entry], named: Solution, along: Sequence[Form]
+    evidence: Evidence, chosen: Sequence[Entry], named: Solution, along: Sequence[_Beside]
 ) -> tuple[Array, Array]:
     """How far the joint estimate moves (p,) where others are estimated along, and its covariance (p, p) then."""
     found = evidence.solve([*chosen, *(each.entry for each in along)])
@@ -117,7 +117,7 @@ def _seen_by(
     return parts @ found.theta - named.theta, parts @ found.covariance @ parts.T
 
 
-def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: Form) -> Array:
+def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: _Beside) -> Array:
     """What a form that the data do not show leaves open, (p, p), as far as they allow it."""
     moved, covariance = _seen_by(evidence, chosen, named, [form])
     return np.outer(moved, moved) + _positive(covariance - named.covariance)
@@ -149,7 +149,7 @@ def _margins(
     return out
 
 
-def misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[Form]:
+def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[_Beside]:
     """Each chosen effect, by parameter, with one power more or less of each quantity; and on each of its axes alone."""
     first = 0
     for candidate, columns in chosen:
@@ -160,7 +160,7 @@ def misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -
         for entry in forms_of(evidence, candidate, values):
             shape = np.zeros((len(solution.theta), 1))
             shape[own] = _in_shape(entry[1].sensitivity, columns.sensitivity)
-            yield Form(entry, shape)
+            yield _Beside(entry, shape)
 
 
 def forms_of(evidence: Evidence, candidate: Candidate, values: Array) -> Iterator[Entry]:

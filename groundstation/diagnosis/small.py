@@ -18,15 +18,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
-from groundstation.diagnosis.discrepancy import Discrepancy
+from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.left_open import forms_of
 from groundstation.diagnosis.rivals import Entry, Kind
 from groundstation.diagnosis.thresholds import THRESHOLDS
 
+Array = NDArray[np.float64]
 Threshold = Callable[[Candidate, Columns, Sequence[int]], float]
 """Wald statistic of some parameters of an entry that chance passes too rarely."""
 
@@ -35,12 +37,16 @@ class SmallEffects:
     """Those of a selection.
 
     Args:
+        lag: energy by channel (6,) of rotor lag beyond the declared one. It has no forms, so that what its formula may
+            leave is allowed as in :mod:`.discrepancy`.
         kinds: what stands so already.
     """
 
-    def __init__(self, evidence: Evidence, discrepancy: Discrepancy, threshold: Threshold, kinds: Iterable[Kind]):
+    def __init__(
+        self, evidence: Evidence, discrepancy: Discrepancy, lag: Array, threshold: Threshold, kinds: Iterable[Kind]
+    ):
         self.kinds = set(kinds)
-        self._evidence, self._discrepancy, self._threshold = evidence, discrepancy, threshold
+        self._evidence, self._discrepancy, self._lag, self._threshold = evidence, discrepancy, lag, threshold
         self._margins: dict[tuple[frozenset[int], int], float] = {}
         self._forms: dict[int, list[Entry]] = {}
 
@@ -55,8 +61,15 @@ class SmallEffects:
         new = [entry for entry in entries if (there, entry[1].number) not in self._margins]
         if new:
             found = margins_beside_forms(self._evidence, others, self._forms_beside(others), new, self._threshold)
-            self._margins |= {(there, entry[1].number): m for entry, m in zip(new, found, strict=True)}
+            left = [margin - self._left_by_lag(others, entry) for margin, entry in zip(found, new, strict=True)]
+            self._margins |= {(there, entry[1].number): m for entry, m in zip(new, left, strict=True)}
         return [self._margins[there, columns.number] for _, columns in entries]
+
+    def _left_by_lag(self, others: Sequence[Entry], entry: Entry) -> float:
+        if not self._lag.any():
+            return 0.0
+        values = self._evidence.solve([*others, entry]).theta[-len(entry[0].effect.parameters) :]
+        return allowance(self._discrepancy.energy(entry[1], values), self._lag)
 
     def _forms_beside(self, others: Sequence[Entry]) -> list[Entry]:
         """The forms of those whose formula may leave more than noise does; of each by the size that it first had."""
