@@ -372,8 +372,15 @@ def subscribe(
     return subscription
 
 
-def serve(session: zenoh.Session, key: str, kind: type[M], handler: Callable[[M], msgspec.Struct]) -> Any:
-    """Answer requests on a key: ``handler`` runs on zenoh's thread and returns the answer.
+def serve(
+    session: zenoh.Session,
+    key: str,
+    kind: type[M],
+    handler: Callable[[M], msgspec.Struct],
+    answered: Callable[[], None] | None = None,
+) -> Any:
+    """Answer requests on a key: ``handler`` runs on zenoh's thread and returns the answer; ``answered`` is called there
+    once it has been sent.
 
     A payload that is no ``kind`` is answered ``Answer(ok=False, reason)``. Keep the return value; undeclare it to stop.
     """
@@ -387,6 +394,8 @@ def serve(session: zenoh.Session, key: str, kind: type[M], handler: Callable[[M]
             answer = handler(request)
         query.reply(key, encode(answer))
         query.drop()
+        if answered is not None:
+            answered()
 
     return session.declare_queryable(key, receive)
 

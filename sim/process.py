@@ -88,7 +88,9 @@ class DroneProcess:
         self._real_time = drone.description.real_time
         self.station = Station(clock, bus.CREDIT_TIMEOUT_S if self._real_time else bus.LOCK_STEP_TIMEOUT_S)
         self._offset_s = clock() if self._real_time else 0.0
+        self._door = threading.Lock()  # held by who asks; the loop passes through it before each stretch
         self._lock = threading.Lock()
+        self._told_to_end = False
         self._ending = threading.Event()
         self._sequence = 0
         self._last_status: tuple[str, str, float] = ("", "", -1.0)
@@ -96,7 +98,7 @@ class DroneProcess:
         self._status = bus.Publisher(session, self.keys.status, lossless=not self._real_time)
         self._served = [
             bus.serve(session, self.keys.upload, bus.Upload, self._locked(drone.upload)),
-            bus.serve(session, self.keys.command, bus.Command, self._locked(self._command)),
+            bus.serve(session, self.keys.command, bus.Command, self._locked(self._command), self._end_if_told),
             bus.serve(session, self.keys.describe, bus.Describe, lambda _request: drone.description),
             bus.subscribe(session, self.keys.credit, bus.decoder_of(bus.Credit), self.station.on_credit),
             bus.watch_alive(session, bus.CORE_ALIVE, self.station.on_alive),
@@ -104,7 +106,7 @@ class DroneProcess:
 
     def _locked(self, handler: Callable[..., bus.Answer]) -> Callable[..., msgspec.Struct]:
         def answer(request: msgspec.Struct) -> bus.Answer:
-            with self._lock:
+            with self._door, self._lock:
                 given = handler(request)
                 self._publish_status()
                 return given
@@ -113,9 +115,13 @@ class DroneProcess:
 
     def _command(self, request: bus.Command) -> bus.Answer:
         given = self.drone.command(request)
-        if request.name == "shutdown" and given.ok:
-            self._ending.set()
+        self._told_to_end |= request.name == "shutdown" and given.ok
         return given
+
+    def _end_if_told(self) -> None:
+        """End the process, once the answer to the one who asked for it is on its way."""
+        if self._told_to_end:
+            self._ending.set()
 
     def run(self) -> None:
         """Fly until shut down, or until the core has left the drone behind on the ground for long."""
@@ -136,6 +142,8 @@ class DroneProcess:
             if not self._may_run(lost):
                 self.station.wait(0.05)
                 continue
+            with self._door:
+                pass
             with self._lock:
                 self._advance()
 

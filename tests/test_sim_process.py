@@ -147,6 +147,45 @@ def test_a_whole_flight_loses_nothing_and_lands(flown):
     assert phases == ["uploaded", "armed", "takeoff", "exciting", "landing", "landed"]
 
 
+def test_a_command_waits_for_no_more_than_the_stretch_under_way(flown):
+    core, process, _, _ = flown
+    reached = []
+
+    def finish(request: bus.Command) -> bus.Answer:
+        reached.append(process.drone.simulation.time_s)
+        return Drone.command(process.drone, request)
+
+    process.drone.command = finish
+    core.credit.put(bus.Credit(1e6))
+    _eventually(lambda: process.drone.simulation.time_s > 1.0)
+    waited = []
+    for _ in range(30):
+        process._door.acquire()  # as one who asks does, who then waits for the drone
+        asked = process.drone.simulation.time_s
+        with process._lock:
+            waited.append(process.drone.simulation.time_s - asked)
+        process._door.release()
+        assert not core.ask("finish").ok  # on the ground there is nothing to finish
+    assert max(waited) <= 1.5 * process.drone.description.batch_s
+    assert len(reached) == 30
+
+
+def test_who_shuts_it_down_is_answered_before_it_ends(flown, monkeypatch):
+    core, _, _, thread = flown
+    encode = bus.encode
+
+    def slow(message) -> bytes:
+        if isinstance(message, bus.Answer):
+            thread.join(0.3)  # on the drone's thread that answers: time enough for a process that does not wait for it
+            assert thread.is_alive()
+        return encode(message)
+
+    monkeypatch.setattr(bus, "encode", slow)
+    assert core.ask("shutdown").ok
+    thread.join(10.0)
+    assert not thread.is_alive()
+
+
 @pytest.mark.parametrize("death", ["silence", "session closed"])
 def test_when_the_station_is_gone_it_lands_by_itself_and_then_ends(flown, death):
     core, process, wall, thread = flown
