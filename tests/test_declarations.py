@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -141,6 +142,18 @@ def test_the_command_refuses_first_and_prints_what_to_write(
     assert "Is this the right vehicle?" in text
     assert "--accept-declaration thrust" in text
     assert not (tmp_path / "logs").exists()
+
+
+def test_what_was_accepted_and_left_out_stays_so_in_the_command_that_looks_further(
+    right: FlightData, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_bundle(WRONG["mass 2.5 times too large"](right, np.random.default_rng(8)), tmp_path / "a flight")
+    left_out = ["--exclude", "12.0:12.5", "--exclude", "15.0:15.5"]
+    words = [str(folder), "--accept-declaration", "thrust", *left_out]
+    assert main(["identify", *words, "--logs", str(tmp_path / "logs")]) == 0
+    told = capsys.readouterr().out.strip().splitlines()[-1]
+    assert told.startswith("The intervals hold if the model lacks nothing")
+    assert shlex.split(told.split("groundstation diagnose ")[1]) == words
 
 
 def test_a_real_firmwares_log_under_another_vehicles_mass_is_asked_about() -> None:

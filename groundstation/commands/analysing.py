@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from groundstation.identification.work import Work
 
 FLIGHT = click.Path(path_type=Path)
+LACKING = "The intervals hold if the model lacks nothing that these flights show; to look for it:"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +69,23 @@ class Given:
         """Healthy flights, and flights kept for judging."""
         return load_flights(self.reference, self.vehicle), load_flights(self.held_out, self.vehicle)
 
+    def arguments(self) -> list[str]:
+        """The words that name flights and what of them is used on a command line, without what is left out."""
+        named = {"--vehicle": self.vehicle, "--from": self.start_s, "--to": self.end_s}
+        words = [str(part) for name, value in named.items() if value is not None for part in (name, value)]
+        words += ["--all"] if self.everything else []
+        return [*map(str, self.flights), *words, *_each("--accept-declaration", self.accepted)]
+
     def folder(self) -> Path:
         """Where results go; made here."""
         folder = result_folder(self.flights[0], self.logs)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+
+def _each(option: str, values: Sequence[str]) -> list[str]:
+    """The words that give a repeatable option each of its values."""
+    return [word for value in values for word in (option, value)]
 
 
 def flight_options(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -137,6 +150,8 @@ def identify(given: Given) -> Result:
     files = write_identification(given.folder(), found, loaded[0].vehicle)
     document = identification_document(found)
     lines = [*_identification_lines(found, document, loaded[0]), *(f"written: {path}" for path in files.values())]
+    again = shlex.join([*given.arguments(), *_each("--exclude", given.exclude)])
+    lines.append(f"{LACKING} groundstation diagnose {again}")
     if not any(method.parameters for method in found.methods.values()):
         raise NotIdentifiable("these flights reveal none of the parameters.", "", tuple(found.not_identifiable))
     return Result(document, "\n".join(lines))
@@ -227,13 +242,6 @@ def _diagnosis_lines(found: Diagnosis) -> list[str]:
     ]
 
 
-def _arguments(flights: tuple[Path, ...], options: Mapping[str, object], everything: bool) -> str:
-    """Flights and options as they were given, quoted for a shell."""
-    given = [str(part) for name, value in options.items() if value is not None for part in (name, value)]
-    given += ["--all"] if everything else []
-    return shlex.join([*map(str, flights), *given])
-
-
 @click.command(epilog=example("groundstation report logs/2025-01-31T12-00-00-qball2/flight.mcap"))
 @flight_options
 @beside_options
@@ -246,7 +254,6 @@ def report(given: Given) -> Result:
     from groundstation.reporting.card import landing_card
 
     line = ProgressLine()
-    named = {"--vehicle": given.vehicle, "--from": given.start_s, "--to": given.end_s}
     with line.ticking("analysing"):
         done = api.analyse(
             loaded,
@@ -255,7 +262,7 @@ def report(given: Given) -> Result:
             references=references,
             held_out=judges,
             progress=line.fraction,
-            source=_arguments(given.flights, named, given.everything),
+            source=shlex.join(given.arguments()),
         )
     files = {name: str(path) for name, path in done.files.items()}
     first = done.identification.to_dict()
