@@ -278,7 +278,7 @@ class RecordModel:
         if self._last is not None and self._last[0] is p and options in (None, self._asked):
             return self._last[1]
         self._asked = self._asked if options is None else options
-        steps = timing_steps(p, self._asked)
+        steps = timing_steps(p, self._asked, self.record.motors.held_s)
         self._last = None
         made = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
         here = next(made)

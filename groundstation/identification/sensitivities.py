@@ -29,9 +29,11 @@ Pair = tuple[Array, Array]
 
 TIMING = ("input_delay_s", "rotor_lag_s", "rotor_lag_up_s", "rotor_lag_down_s", "rotor_lag_slope")
 """Parameters whose sensitivity is a difference."""
-DELAY_STEP_S = 1e-3
+TIME_STEP_S = 1e-3
 SLOPE_STEP = 0.05
-"""Of differences by the dead time and by a lag's slope."""
+"""Of differences by a time and by a lag's slope."""
+HELD_MOST_S = 0.02
+"""Longest time between commands over which a difference is taken: motion changes within more."""
 
 
 def _turning() -> Array:
@@ -62,12 +64,19 @@ def lag_of(p: Parameters) -> Lag:
     return p.lag_up_s, p.lag_down_s, p.lag_slope
 
 
-def timing_steps(p: Parameters, options: FitOptions) -> dict[str, Step]:
-    """Of each free parameter that delays the inputs."""
-    size = max(1e-3, 0.02 * max(p.lag_up_s, p.lag_down_s))
+def timing_steps(p: Parameters, options: FitOptions, held_s: float) -> dict[str, Step]:
+    """Of each free parameter that delays the inputs.
+
+    Commands that hold for ``held_s`` make stairs. Samples that come as often see each stair at one place, where being a
+    little later changes nothing, or all of it, unless a lag smooths them: only over a whole stair is a difference the
+    slope.
+    """
+    stairs = max(p.lag_up_s, p.lag_down_s) < held_s
+    least = max(TIME_STEP_S, min(held_s, HELD_MOST_S)) if stairs else TIME_STEP_S
+    size = max(least, 0.02 * max(p.lag_up_s, p.lag_down_s))
     up, down, slope = lag_of(p)
     found = {
-        "input_delay_s": Step((up, down, slope), p.delay_s + DELAY_STEP_S, DELAY_STEP_S),
+        "input_delay_s": Step((up, down, slope), p.delay_s + least, least),
         "rotor_lag_s": Step((up + size, down + size, slope), p.delay_s, size),
         "rotor_lag_up_s": Step((up + size, down, slope), p.delay_s, size),
         "rotor_lag_down_s": Step((up, down + size, slope), p.delay_s, size),

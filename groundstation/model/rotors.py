@@ -62,6 +62,7 @@ class MotorInput:
         value: speeds, commands or wrench components, shape (k, n).
         measured: the values are measured speeds (no lag between them and the thrust).
         hover: value at which a rotor carries its share of the weight.
+        held_s: for how long a value holds, as a rule; zero where it is measured.
     """
 
     start_s: float
@@ -69,6 +70,7 @@ class MotorInput:
     value: Array
     measured: bool
     hover: float = 1.0
+    held_s: float = 0.0
 
     @property
     def t_s(self) -> Array:
@@ -109,7 +111,8 @@ def motor_input(
         value = resampled(grid, t_s, values)
     else:
         value = _held(grid, step_s, t_s, np.asarray(values, dtype=float))
-    return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
+    held_s = 0.0 if measured or len(t_s) < 2 else float(np.median(np.diff(t_s)))
+    return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover, held_s)
 
 
 def _held(grid: Array, step_s: float, t_s: Array, values: Array) -> Array:
