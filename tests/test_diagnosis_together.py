@@ -18,7 +18,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.pool import candidates
 from groundstation.diagnosis.products import product
-from groundstation.diagnosis.rivals import Entry, material, plausible
+from groundstation.diagnosis.rivals import Entry, material, plausible, share_of
 from groundstation.diagnosis.selection import Selected
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
@@ -154,3 +154,12 @@ def test_with_nothing_chosen_the_base_bends_nothing(evidence: Evidence):
     """A second pass may drop all that the first one named."""
     selection = Selection(evidence, ())
     assert not Selected(evidence, [], [], evidence.solve([]), selection).is_bent()
+
+
+def test_how_large_an_effect_is_does_not_hang_on_the_axes() -> None:
+    random = np.random.default_rng(3)
+    turn = np.linalg.qr(random.standard_normal((3, 3)))[0]
+    force, torque = random.standard_normal((2, 3))
+    turned = np.concatenate([turn @ force, turn @ torque])
+    assert share_of(turned) == pytest.approx(float(share_of(np.concatenate([force, torque]))))
+    assert share_of(np.array([0.3, 0.4, 0.0, 0.0, 0.1, 0.0])) == pytest.approx(0.5)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.joint import Products, estimated
-from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.rivals import Entry, share_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Beside:
         """:func:`.rivals.material` of each, (several,)."""
         rms = np.stack([columns.wrench_rms for _, columns in self.entries])
         size = np.einsum("mcp,mp->mc", rms, np.abs(self.values))
-        return np.asarray((size / scale > THRESHOLDS.material_share).any(axis=1))
+        return np.asarray(share_of(size / scale) > THRESHOLDS.material_share)
 
 
 def beside(evidence: Evidence, others: Sequence[Entry], entries: Sequence[Entry]) -> list[Beside]:

@@ -110,8 +110,12 @@ def in_settings(evidence: Evidence, others: Sequence[Entry], entry: Entry, setti
 
 def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
     """Whether an effect of these values is large enough to matter to anyone."""
-    size = np.abs(columns.wrench_rms @ np.abs(values))
-    return bool(np.any(size / evidence.scale > THRESHOLDS.material_share))
+    return bool(share_of(columns.wrench_rms @ np.abs(values) / evidence.scale) > THRESHOLDS.material_share)
+
+
+def share_of(size: Array) -> Array:
+    """The larger of a force and a torque by the RMS of their components (..., 6), whichever way the axes point."""
+    return np.maximum(np.linalg.norm(size[..., :3], axis=-1), np.linalg.norm(size[..., 3:], axis=-1))
 
 
 def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:

@@ -82,7 +82,8 @@ class Thresholds:
     )
     material_share: float = _entry(
         5e-4,
-        "Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques).",
+        "Least RMS of an effect that is a finding: of its force as a share of weight, or of its torque as one of "
+        "weight times arm.",
         source="decision 6",
         chosen_on="dc2e2a9, after the first blind bench, which had shown what a smaller limit lets through; 1e-3 "
         "before it",
