@@ -380,7 +380,7 @@ def serve(
     answered: Callable[[], None] | None = None,
 ) -> Any:
     """Answer requests on a key: ``handler`` runs on zenoh's thread and returns the answer; ``answered`` is called there
-    once it has been sent.
+    once it has been sent, or could not be.
 
     A payload that is no ``kind`` is answered ``Answer(ok=False, reason)``. Keep the return value; undeclare it to stop.
     """
@@ -392,10 +392,12 @@ def serve(
             answer: msgspec.Struct = Answer(False, f"the request was not understood: {error}")
         else:
             answer = handler(request)
-        query.reply(key, encode(answer))
-        query.drop()
-        if answered is not None:
-            answered()
+        try:
+            query.reply(key, encode(answer))
+            query.drop()
+        finally:  # whether or not the one who asked is still there
+            if answered is not None:
+                answered()
 
     return session.declare_queryable(key, receive)
 

@@ -186,6 +186,22 @@ def test_who_shuts_it_down_is_answered_before_it_ends(flown, monkeypatch):
     assert not thread.is_alive()
 
 
+def test_it_ends_when_told_to_though_the_answer_is_lost(flown, monkeypatch):
+    core, _, _, thread = flown
+    encode = bus.encode
+
+    def lost(message) -> bytes:
+        if isinstance(message, bus.Answer):
+            raise OSError("the one who asked is gone")
+        return encode(message)
+
+    monkeypatch.setattr(bus, "encode", lost)
+    with pytest.raises(ConnectionError):
+        core.ask("shutdown")
+    thread.join(10.0)
+    assert not thread.is_alive()
+
+
 @pytest.mark.parametrize("death", ["silence", "session closed"])
 def test_when_the_station_is_gone_it_lands_by_itself_and_then_ends(flown, death):
     core, process, wall, thread = flown
