@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flights import laboratory
 
+from groundstation.diagnosis import selection as selected_module
 from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.columns import Candidate
@@ -14,6 +17,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.left_open import forms_of
 from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.selection import Selected
 from groundstation.diagnosis.small import margins_beside_forms
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
@@ -72,3 +76,14 @@ def test_what_is_left_where_an_effect_lives_is_one_of_noise_alone(selection):
     _, channels, _ = evidence.time_of_rows()
     elsewhere = np.where(channels < 3, 5.0, 1.0) * rest
     assert evidence.mean_square(elsewhere, entry[1]) < 1.5 * found, "a lift is a force"
+
+
+def test_a_small_effect_is_told_from_what_forms_leave_and_not_from_what_the_large_one_moves(selection, monkeypatch):
+    """A lift of 42 deviations was dropped beside rotors' inertia of 2000, a tenth of whose omission is more than it."""
+    named, solution = selection.named(selection.choose())
+    found = Selected(selection.evidence, [], named, solution, selection)
+    huge = 1e6 * np.diag(np.diag(solution.covariance))
+    monkeypatch.setattr(selected_module, "form_covariance", lambda evidence, chosen, solution: huge)
+    assert {n.candidate.identifier for n in found.established().named} == {"com_offset", "climb_inflow"}
+    unlikely = [replace(n, confidence=0.4) for n in named]
+    assert not replace(found, named=unlikely).established().named

@@ -11,7 +11,10 @@ import pytest
 from flights import laboratory
 
 from groundstation.diagnosis import diagnose
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.doubted import identify
+from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.hanging import hanging
 from groundstation.diagnosis.pipeline import _with_swing
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.diagnosis.swing import Swing, cable, swing_of
@@ -63,7 +66,7 @@ def test_a_mass_that_holds_an_unnamed_load_is_published_with_an_interval_that_ho
     prepared, mass_kg = _flown(0.14, 0.36)
     wrong = Estimate.normal(mass_kg + 0.14, 0.005)
     before = Diagnosis("a", "b", "clean", parameters_after={"mass_kg": wrong}, covariance_after=np.diag([2.5e-5] * 7))
-    found = _with_swing(before, prepared, PARAMETERS)
+    found = _with_swing(before, hanging(prepared, PARAMETERS))
     low, high = found.parameters_after["mass_kg"].ci95
     assert low < mass_kg < wrong.value < high
     assert found.covariance_after is not None and found.covariance_after[0, 0] > 0.13**2
@@ -89,10 +92,26 @@ def test_without_a_plan_a_diagnosis_is_as_unsure_of_a_mass_that_holds_a_load():
     assert mass.std > 0.05
 
 
+def test_the_force_of_what_was_found_is_none_of_a_load():
+    """Another thrust curve, found, passed for a load of 90 g."""
+    prepared, _ = _flown(0.14, 0.36)
+    signals, load = prepared.signals(0.0, 0.0, 0.0, 0.0), library()["slung_load"]
+    assert load.searched is not None
+    settings = load.searched(signals, prepared.record.keep, VEHICLE)[0]
+    candidate = Candidate(load.of(settings), settings)
+    swing = hanging(prepared, PARAMETERS)
+    assert swing is not None
+    values = np.zeros(len(candidate.effect.parameters))
+    values[0] = swing.load_kg
+    assert hanging(prepared, PARAMETERS, [(candidate, values)]) is None
+    again = hanging(prepared, PARAMETERS, [(candidate, 0.0 * values)])
+    assert again == swing
+
+
 def test_without_a_load_a_diagnosis_stays_as_it_is():
     prepared, _ = _flown(0.0, 1.0)
     before = Diagnosis("a", "b", "clean", parameters_after={"mass_kg": Estimate.normal(1.8, 0.005)})
-    assert _with_swing(before, prepared, PARAMETERS) is before
+    assert _with_swing(before, hanging(prepared, PARAMETERS)) is before
 
 
 def test_a_slack_cable_points_between_where_it_did_and_will():

@@ -121,7 +121,7 @@ class Wanted:
               help="Seconds to search on from random starts; without it the first answer is enough.")  # fmt: skip
 @click.option("--compare", is_flag=True, help="Compare families of signals under the same limits, as a table.")
 @click.option("--discriminate", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="diagnosis.json of a flight: plan the one that tells apart what it left open.")  # fmt: skip
+              help="diagnosis.json: plan the flight that settles what it left open or hints at.")  # fmt: skip
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Plan file to write.")
 @limit_options
 @json_option

@@ -86,8 +86,9 @@ class Selection:
                 self.pool.append((candidate, columns))
         progress(1.0)
         self.discrepancy = Discrepancy(evidence)
-        self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
-        self.small = SmallEffects(evidence, self.discrepancy, self.lag, self.threshold, small)
+        lag = self.discrepancy.lag(evidence.solve(self.baseline))
+        self.lag = self.discrepancy.by_channel(lag)
+        self.small = SmallEffects(evidence, self.discrepancy, lag, self.threshold, small)
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
         self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
@@ -99,9 +100,13 @@ class Selection:
         """
         key = columns.number, -1 if members is None else len(members)
         if key not in self._passed:
-            chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], candidate.effect.scanned)
-            self._passed[key] = self.evidence.threshold(columns, chance, members)
+            self._passed[key] = self._passing(candidate, columns, members, THRESHOLDS.effect_chance)
         return self._passed[key]
+
+    def _passing(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None, chance: float) -> float:
+        """The same with any probability."""
+        tried = max(self.variants[candidate.identifier], candidate.effect.scanned)
+        return self.evidence.threshold(columns, chance / tried, members)
 
     def _cost(self, entry: Entry) -> float:
         """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked
@@ -126,7 +131,7 @@ class Selection:
                 continue
             values, covariance = solution.part(first, offset - first)
             if (
-                not self._has_prerequisites(candidate, chosen)
+                not self.has_prerequisites(candidate, chosen)
                 or not plausible(candidate, values, covariance)
                 or not material(self.evidence, columns, values)
             ):
@@ -153,7 +158,7 @@ class Selection:
             right = found.plausible() & found.material(self.evidence.scale)
             for place, index in enumerate(found.index):
                 candidate, columns = entries[index]
-                if right[place] and self._has_prerequisites(candidate, [*chosen, entries[index]]):
+                if right[place] and self.has_prerequisites(candidate, [*chosen, entries[index]]):
                     least = self.threshold(candidate, columns, candidate.effect.telling())
                     out[index] = float(walds[place]) - least - allowance(energies[place], others)
         return out
@@ -161,8 +166,17 @@ class Selection:
     def needed(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
         """Wald statistic from which an entry of these values would stand beside a set."""
         candidate, columns = entry
-        others = allowance(self.discrepancy.energy(columns, values), self._together(chosen))
-        return self.threshold(candidate, columns, candidate.effect.telling()) + others
+        return self.threshold(candidate, columns, candidate.effect.telling()) + self._left_to(entry, values, chosen)
+
+    def suspected(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
+        """The same from which it is a hint."""
+        candidate, columns = entry
+        chance = self._passing(candidate, columns, candidate.effect.telling(), THRESHOLDS.hint_chance)
+        return chance + self._left_to(entry, values, chosen)
+
+    def _left_to(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
+        """Evidence that the formulas of a set may leave to an entry of these values beside it."""
+        return allowance(self.discrepancy.energy(entry[1], values), self._together(chosen))
 
     def _without(self, chosen: Sequence[Entry], index: int) -> Array:
         """Energy by channel, shape (6,), of lag and the other members as they are estimated without one.
@@ -181,7 +195,7 @@ class Selection:
             self._alone[key] = self.discrepancy.energies(rest, solution, first).sum(axis=0) + self.lag
         return self._alone[key]
 
-    def _has_prerequisites(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
+    def has_prerequisites(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
         """Whether one of the effects that it rests on is there, or it rests on none."""
         there = {c.identifier for c, _ in (*self.baseline, *chosen)}
         return not candidate.effect.rests_on or bool(there.intersection(candidate.effect.rests_on))
@@ -210,7 +224,7 @@ class Selection:
             right = found.plausible() & found.material(self.evidence.scale)
             for entry, wald, fits in zip(found.entries, found.walds(), right, strict=True):
                 chance = self.threshold(*entry, found.telling)
-                if fits and wald > chance and self._has_prerequisites(entry[0], [*chosen, entry]):
+                if fits and wald > chance and self.has_prerequisites(entry[0], [*chosen, entry]):
                     out.append(entry)
         return out
 

@@ -54,11 +54,19 @@ class Discrepancy:
 
     def of_lag(self, solution: Solution) -> Array:
         """Of rotor lag and dead time beyond what is declared, shape (6,): a first-order lag is a formula, too."""
+        return self.by_channel(self.lag(solution))
+
+    def by_channel(self, values: Array) -> Array:
+        """Sum of squares of whitened rows, (6,)."""
+        return np.array([float(np.sum(values[self._channels == channel] ** 2)) for channel in range(len(CHANNELS))])
+
+    def lag(self, solution: Solution) -> Array:
+        """What they do, less what mass and tensor absorb of it, whitened, (rows,)."""
         first = self._evidence.flights[0]
         vehicle, names = first.prepared.record.vehicle, self._evidence.names
         timing = {e.name: e for e in FREE if e.timing and e.declared is not None and e.name in names}
         if "rotor_lag_up_s" not in timing:
-            return np.zeros(len(CHANNELS))
+            return np.zeros(len(self._channels))
         index = [names.index(name) for name in timing]
         found = [e.get(first.parameters) - e.declared(vehicle) for e in timing.values() if e.declared is not None]
         kept = [i for i in range(len(names)) if i not in index]
@@ -73,8 +81,7 @@ class Discrepancy:
         shown = coefficients(
             lambda rows: np.column_stack([rest(rows) / scale, moved[rows] * root[rows]]), len(z), rcond=1e-8
         )
-        own = by_parts(lambda rows: moved[rows] * root[rows] - rest(rows) / scale @ shown, len(z))
-        return np.array([float(np.sum(own[self._channels == channel] ** 2)) for channel in range(len(CHANNELS))])
+        return by_parts(lambda rows: moved[rows] * root[rows] - rest(rows) / scale @ shown, len(z))
 
     def energies(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution, first: int = 0) -> Array:
         """Of each member of a joint estimate, shape (members, 6); ``first`` parameters of others stand before
@@ -86,6 +93,20 @@ class Discrepancy:
             out[index] = self.energy(columns, solution.part(first, count)[0])
             first += count
         return out
+
+
+def allowance_by_band(own: Array, others: Array) -> float:
+    """The most that a share ``form_error_share`` of others' amplitude in each band can do for an effect, both in step
+    in all of them (Cauchy and Schwarz).
+
+    What a formula misses of a linear effect lies in the frequencies of that effect: a lag leaves nothing to a steady
+    torque.
+
+    Args:
+        own, others: sum of squares by band, (bands,).
+    """
+    total = float(own.sum())
+    return THRESHOLDS.form_error_share**2 * float(np.sqrt(own * others).sum()) ** 2 / total if total > 0.0 else 0.0
 
 
 def allowance(own: Array, others: Array) -> float:

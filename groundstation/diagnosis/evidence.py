@@ -305,16 +305,19 @@ class Evidence:
     def mean_square(self, rest: Array, columns: Columns) -> float:
         """Of what is left (rows,), in the channels and bands where an effect's instruments lie: one of noise alone."""
         energy = self._energy(columns.instrument) if columns.energy is None else columns.energy
-        rest = rest * np.sqrt(self.weight)
+        power = self.power(rest * np.sqrt(self.weight))
+        share = energy.sum(axis=1)
+        return float(share @ (power / self._freedom)) / float(share.sum())
+
+    def power(self, values: Array) -> Array:
+        """Sum of squares of whitened rows by the channels and bands of the flights, (bands,)."""
         starts = np.cumsum([0, *(len(flight.y) for flight in self.flights)])
-        power = np.concatenate(
+        return np.concatenate(
             [
-                flight.whitening.energy(rest[first:last, None])[:, 0] * float(np.sum(rest[first:last] ** 2))
+                flight.whitening.energy(values[first:last, None])[:, 0] * float(np.sum(values[first:last] ** 2))
                 for flight, (first, last) in zip(self.flights, pairwise(starts), strict=True)
             ]
         )
-        share = energy.sum(axis=1)
-        return float(share @ (power / self._freedom)) / float(share.sum())
 
     @cached_property
     def _freedom(self) -> Array:

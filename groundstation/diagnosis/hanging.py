@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.swing import Swing, swing_of
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
@@ -15,11 +16,19 @@ from groundstation.model.parameters import Parameters
 Array = NDArray[np.float64]
 
 
-def hanging(flight: Prepared, p: Parameters) -> Swing | None:
-    """What swings below the vehicle in the liveliest part of a flight, with the lags of ``p``."""
+def hanging(flight: Prepared, p: Parameters, known: Sequence[tuple[Candidate, Array]] = ()) -> Swing | None:
+    """What swings below the vehicle in the liveliest part of a flight, with the lags and the mass of ``p``.
+
+    Args:
+        known: effects that were found, with the values of their parameters: their force is none of a load.
+    """
     flight = flight.liveliest()
     signals = flight.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-    return swing_of(signals, flight.record.keep, flight.record.vehicle)
+    vehicle = flight.record.vehicle.model_copy(update={"mass_kg": p.mass_kg})
+    force = np.zeros((len(signals.t_s), 3))
+    for candidate, values in known:
+        force += candidate.effect.wrench(signals, vehicle, candidate.settings)[:, :3] @ values
+    return swing_of(signals, flight.record.keep, flight.record.vehicle, force)
 
 
 def holding(

@@ -43,6 +43,12 @@ TRIAL_S = 0.12
 """What a motion tried takes, about."""
 
 
+NOTHING = "nothing"
+"""The explanation of a hint by chance."""
+HINT_TRIALS = 200
+"""Motions tried for a hint, some seconds: its two explanations cost little."""
+
+
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
     """One explanation: an effect with its settings, and its parameters where its size is known."""
@@ -88,16 +94,21 @@ def rival_entries(
 
 
 def contenders(document: Document) -> tuple[list[Hypothesis], list[Hypothesis]]:
-    """The hypotheses of the first finding that is not settled, and the findings that hold whichever is true.
+    """The hypotheses of the first finding that is not settled, else of the first hint, and the findings that hold
+    whichever is true.
 
     Args:
         document: of schema groundstation.diagnosis/1.
 
     Raises:
-        Refused: every finding stands alone, or what is open shows in no force.
+        Refused: every finding stands alone and there is no hint, or what is open shows in no force.
     """
     findings = document.get("findings", [])
     open_ones = [f for f in findings if f["alternatives"]]
+    hints = [h for h in document.get("hints", []) if h["effect"] in library()]
+    if not open_ones and hints:
+        hint = Hypothesis(hints[0]["effect"], hints[0]["settings"], hints[0]["values"])
+        return [hint, Hypothesis(NOTHING, {}, None)], [_found(f) for f in findings if f["effect"] in library()]
     if not open_ones:
         raise Refused(
             f"the diagnosis of {document.get('flight') or 'this flight'} leaves no two explanations to tell apart.",
@@ -239,6 +250,8 @@ def candidate(hypothesis: Hypothesis, vehicle: Vehicle, shared: Sequence[Hypothe
             parts.append(effect.wrench(signals, vehicle, _on_plan(effect, other.settings, t_s)))
         return np.concatenate(parts, axis=2)
 
+    if hypothesis.effect == NOTHING:
+        return _nothing(vehicle, common)
     make = _timing if hypothesis.effect in TIMING else _forced
     return make(hypothesis, vehicle, common)
 
@@ -269,6 +282,15 @@ def _forced(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discrim
         return [(nothing, np.concatenate([base, effect.of(v).wrench(signals, vehicle, v)], axis=2)) for v in variants]
 
     return discriminate.Candidate(hypothesis.effect, None if hypothesis.values is None else wrench, explanations)
+
+
+def _nothing(vehicle: Vehicle, common: Common) -> discriminate.Candidate:
+    """What is shared alone. It is a rival only: what explains more than it is never worse."""
+
+    def explanations(t_s: Array, motion: RigidMotion) -> list[tuple[Array, Array]]:
+        return [(np.zeros((len(t_s), 6)), common(t_s, motion, signals_of(vehicle, t_s, motion)))]
+
+    return discriminate.Candidate(NOTHING, None, explanations)
 
 
 def _timing(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discriminate.Candidate:
@@ -304,7 +326,8 @@ def plan_next(
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     **limits: float,
 ) -> discriminate.Separation:
-    """The flight that tells the first unsettled finding of a diagnosis from its alternatives.
+    """The flight that tells the first unsettled finding of a diagnosis from its alternatives; where there is none, the
+    one that shows best what it gives a hint of.
 
     Args:
         document: of schema groundstation.diagnosis/1. vehicle: as declared. duration_s: of the excitation.
@@ -321,13 +344,14 @@ def plan_next(
     _check_rotors((*rivals, *shared), vehicle)
     timing = any(h.effect in TIMING for h in rivals)
     bounds: dict[str, Any] = dict(limits)
+    usual = HINT_TRIALS if rivals[-1].effect == NOTHING else max(6, 24 // len(rivals))
     return discriminate.plan_discrimination(
         vehicle,
         [candidate(h, vehicle, shared) for h in rivals],
         periods=(4, 8, 16) if timing else (2, 4, 8),
         frequency_max_hz=TIMING_FREQUENCY_MAX_HZ if timing else FREQUENCY_MAX_HZ,
         duration_s=duration_s,
-        trials=max(6, 24 // len(rivals)) if trials is None else trials,
+        trials=usual if trials is None else trials,
         seed=seed,
         progress=progress,
         **bounds,
@@ -352,6 +376,11 @@ def odds_sentence(found: discriminate.Separation) -> str:
     odds = f"{np.exp(log_odds):.0f} to 1" if log_odds < THRESHOLDS.log_odds_most else "better than a million to 1"
     hardest = "" if len(names) == 2 else f"the hardest to part are {' and '.join(pair)}, "
     channel = max(found.channels, key=lambda name: found.channels[name])
+    if names[-1] == NOTHING:
+        return (
+            f"a flight of {found.plan.series().duration_s:.0f} s that should show {names[0]} if it is there, at "
+            f"expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room)."
+        )
     return (
         f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} "
         f"apart, {hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if "

@@ -13,13 +13,15 @@ from groundstation.diagnosis.case import Case, case_of, sensors, straightened, t
 from groundstation.diagnosis.comparison import base_covariance, flight_parameters
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.hanging import hanging, holding
+from groundstation.diagnosis.hints import hints
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.possible import possible
 from groundstation.diagnosis.published import published
-from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained, WouldShow
+from groundstation.diagnosis.results import Diagnosis, Finding, Hint, Unexplained, WouldShow
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Final, Progress, Selected, select_beside
+from groundstation.diagnosis.swing import Swing
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
@@ -39,7 +41,6 @@ from groundstation.identification.unplanned import applies as low_frequencies_ap
 from groundstation.identification.unplanned import by_low_frequencies
 from groundstation.identification.work import Work
 from groundstation.json_types import JsonObject
-from groundstation.model.parameters import Parameters
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -101,17 +102,16 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
     progress(1.0, "done")
     found = _with_low_frequencies(_diagnosis(name, case, selected, final, judged, air), case, base)
     if not case.healthy and all(c.identifier != "slung_load" for c, _ in selected.chosen):
-        found = _with_swing(found, case.suspects[0], base.fitted.parameters)
+        found = _with_swing(found, hanging(case.suspects[0], base.fitted.parameters, selected.sizes()))
     found = possible(found, case.vehicle)
     hidden = unrevealed(base.fitted, case.suspects)
     return published(found, hidden) if hidden else found
 
 
-def _with_swing(found: Diagnosis, flight: Prepared, p: Parameters) -> Diagnosis:
+def _with_swing(found: Diagnosis, swing: Swing | None) -> Diagnosis:
     """Not clean, with a warning, and with a mass whose interval holds the load, where the force that is left is that of
     a load below the vehicle and no finding says so.
     """
-    swing = hanging(flight, p)
     if swing is None:
         return found
     after, covariance = holding(found.parameters_after, found.covariance_after, swing)
@@ -147,6 +147,7 @@ def _diagnosis(
 ) -> Diagnosis:
     """All of it as the result that is written and shown."""
     reason = _reason(judged.verdict, judged.findings, judged.unexplained)
+    hinted = _hints(case, selected)
     return Diagnosis(
         flight=name,
         vehicle=case.vehicle.name,
@@ -158,7 +159,7 @@ def _diagnosis(
         parameters_after=judged.after,
         covariance_after=base_covariance(final.evidence, case.vehicle, final.chosen, judged.left_open),
         by_flight=tuple(flight_parameters(final.evidence, final.chosen)) if len(case.suspects) > 1 else (),
-        next_flight=_next_flight(judged.findings, judged.unexplained),
+        next_flight=_next_flight(judged.findings, judged.unexplained, hinted),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),
         notes=(
@@ -170,6 +171,7 @@ def _diagnosis(
         candidates=tuple(_candidate_entries(case, selected)),
         residual=judged.residual,
         would_show=tuple(_would_show(case, selected)),
+        hints=tuple(hinted),
     )
 
 
@@ -178,6 +180,13 @@ def _would_show(case: Case, selected: Selected) -> list[WouldShow]:
     if any(item.planned is None for item in case.suspects):
         return []
     return would_show(selected.selection, [(n.candidate, n.columns) for n in selected.named])
+
+
+def _hints(case: Case, selected: Selected) -> list[Hint]:
+    """Of flights with a plan, as :func:`_would_show`."""
+    if any(item.planned is None for item in case.suspects):
+        return []
+    return hints(selected.selection, [(n.candidate, n.columns) for n in selected.named])
 
 
 def _candidate_entries(case: Case, selected: Selected) -> list[JsonObject]:
@@ -231,8 +240,8 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
     )
 
 
-def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
-    """The manoeuvre that separates what this flight could not."""
+def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained], hinted: Sequence[Hint] = ()) -> str:
+    """The manoeuvre that separates what this flight could not, or shows what it gave a hint of."""
     effects = catalogue()
     parts: list[str] = []
     for finding in findings:
@@ -243,6 +252,11 @@ def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained]) 
         where = ", ".join(sorted({v for item in remaining for v in item.depends_on}))
         parts.append(
             f"Something unknown varies with {where}: fly slowly over its whole range, twice, in opposite directions."
+        )
+    for hint in hinted[:1]:
+        parts.append(
+            f"There is a hint of {hint.effect.replace('_', ' ')}, not enough for a finding; a flight that would show "
+            f"it: {effects[hint.effect].manoeuvre}."
         )
     return " ".join(parts)
 

@@ -85,6 +85,34 @@ class WouldShow:
 
 
 @dataclass(frozen=True, slots=True)
+class Hint:
+    """An effect that beats chance and is no finding yet.
+
+    Attributes:
+        effect, settings: what it is called, and in which settings it explains most.
+        values: of its parameters, as they come out.
+        evidence: Wald statistic; needed: from which one it could be a finding; beyond: by how much it beats chance.
+    """
+
+    effect: str
+    settings: Mapping[str, float]
+    values: Mapping[str, float]
+    evidence: float
+    needed: float
+    beyond: float
+
+    def to_dict(self) -> JsonObject:
+        """JSON form of docs/formats.md."""
+        return {
+            "effect": self.effect,
+            "settings": dict(self.settings),
+            "values": dict(self.values),
+            "evidence": self.evidence,
+            "needed": self.needed,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis(Tabular):
     """The result of ``diagnose``.
 
@@ -100,6 +128,7 @@ class Diagnosis(Tabular):
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
         candidates: for each effect tried, its held-out gain and why it was kept or dropped.
         would_show: from what size on an effect that is not among the findings would be; only of flights with a plan.
+        hints: effects that beat chance and are no findings yet, the likeliest first; only of flights with a plan.
     """
 
     flight: str
@@ -123,6 +152,7 @@ class Diagnosis(Tabular):
     by_flight: tuple[Mapping[str, Estimate], ...] = ()
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
     would_show: tuple[WouldShow, ...] = ()
+    hints: tuple[Hint, ...] = ()
 
     def records(self) -> list[Record]:
         """One row per parameter of each finding, with its 95 % interval and the finding's confidence."""
@@ -164,4 +194,5 @@ class Diagnosis(Tabular):
             "adopted": self.adopted,
             "candidates": [dict(c) for c in self.candidates],
             "would_show": [each.to_dict() for each in self.would_show],
+            "hints": [each.to_dict() for each in self.hints],
         }

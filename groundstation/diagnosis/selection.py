@@ -69,6 +69,15 @@ class Selected:
         """Baseline and named effects, in the order of the solution."""
         return [*self.baseline, *((n.candidate, n.columns) for n in self.named)]
 
+    def sizes(self) -> list[tuple[Candidate, Array]]:
+        """The chosen, with the values of their parameters."""
+        first, out = self.solution.base, list[tuple[Candidate, Array]]()
+        for candidate, _ in self.chosen:
+            count = len(candidate.effect.parameters)
+            out.append((candidate, self.solution.theta[first : first + count]))
+            first += count
+        return out
+
     def final(self) -> Final:
         """The joint estimate by the noise that is left beside it.
 
@@ -111,22 +120,25 @@ class Selected:
 
         Confidence below a half says the first. The size is told by the interval that holds what formulas and
         explanations beside the findings leave open, too: such a number makes up for what another's formula misses.
+        A small effect was judged beside the forms of the others one by one, so that of these it has to be told from
+        what they leave open (:mod:`.left_open`), and not from a share of the whole of what leaving another out moves:
+        beside an effect of thousands of deviations nothing would be.
         """
         small = self.selection.small.kinds
-        doubted = [
-            (n.confidence < 0.5 and not n.alternatives) or kind_of((n.candidate, n.columns)) in small
-            for n in self.named
-        ]
-        if not any(doubted):
+        by_forms = [kind_of((n.candidate, n.columns)) in small for n in self.named]
+        unlikely = [n.confidence < 0.5 and not n.alternatives for n in self.named]
+        if not any((*by_forms, *unlikely)):
             return self
         solution = self.solution
-        spread = solution.covariance + form_covariance(self.evidence, self.chosen, solution) + self.left_open()
+        left_open = solution.covariance + self.left_open()
+        spread = left_open + form_covariance(self.evidence, self.chosen, solution) if any(unlikely) else left_open
         first = solution.base + sum(len(candidate.effect.parameters) for candidate, _ in self.baseline)
         kept: list[Entry] = []
-        for item, doubt in zip(self.named, doubted, strict=True):
+        for item, formed, doubted in zip(self.named, by_forms, unlikely, strict=True):
             own = slice(first, first + len(item.candidate.effect.parameters))
             first = own.stop
-            if not doubt or np.any(np.abs(solution.theta[own]) > 1.96 * np.sqrt(np.diag(spread)[own])):
+            std = np.sqrt(np.diag(spread if doubted else left_open)[own])
+            if not (formed or doubted) or np.any(np.abs(solution.theta[own]) > 1.96 * std):
                 kept.append((item.candidate, item.columns))
         if len(kept) == len(self.named):
             return self

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
-from groundstation.diagnosis.discrepancy import Discrepancy, allowance
+from groundstation.diagnosis.discrepancy import Discrepancy, allowance, allowance_by_band
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.left_open import forms_of
 from groundstation.diagnosis.rivals import Entry, Kind
@@ -37,8 +37,8 @@ class SmallEffects:
     """Those of a selection.
 
     Args:
-        lag: energy by channel (6,) of rotor lag beyond the declared one. It has no forms, so that what its formula may
-            leave is allowed as in :mod:`.discrepancy`.
+        lag: what rotor lag beyond the declared one does, (rows,). It has no forms, so that what its formula may leave
+            is allowed as in :mod:`.discrepancy`, and no more than in its own frequencies.
         kinds: what stands so already.
     """
 
@@ -46,7 +46,8 @@ class SmallEffects:
         self, evidence: Evidence, discrepancy: Discrepancy, lag: Array, threshold: Threshold, kinds: Iterable[Kind]
     ):
         self.kinds = set(kinds)
-        self._evidence, self._discrepancy, self._lag, self._threshold = evidence, discrepancy, lag, threshold
+        self._evidence, self._discrepancy, self._threshold = evidence, discrepancy, threshold
+        self._lag, self._lag_bands = discrepancy.by_channel(lag), evidence.power(lag) if lag.any() else lag
         self._margins: dict[tuple[frozenset[int], int], float] = {}
         self._forms: dict[int, list[Entry]] = {}
 
@@ -69,7 +70,9 @@ class SmallEffects:
         if not self._lag.any():
             return 0.0
         values = self._evidence.solve([*others, entry]).theta[-len(entry[0].effect.parameters) :]
-        return allowance(self._discrepancy.energy(entry[1], values), self._lag)
+        own = self._evidence.power(entry[1].instrument @ values * np.sqrt(self._evidence.weight))
+        by_channel = allowance(self._discrepancy.energy(entry[1], values), self._lag)
+        return min(by_channel, allowance_by_band(own, self._lag_bands))
 
     def _forms_beside(self, others: Sequence[Entry]) -> list[Entry]:
         """The forms of those whose formula may leave more than noise does; of each by the size that it first had."""

@@ -120,13 +120,14 @@ class _Seen:
         return found
 
 
-def swing_of(signals: Signals, keep: Mask, vehicle: Vehicle) -> Swing | None:
+def swing_of(signals: Signals, keep: Mask, vehicle: Vehicle, others: Array | None = None) -> Swing | None:
     """A load that swings below the vehicle; None where nothing does, or where velocities or thrusts are unknown.
 
     Args:
         keep: samples in use, (k,).
+        others: body force of effects that were found, (k, 3); it counts with the thrust.
     """
-    seen = _seen(signals, keep, vehicle)
+    seen = _seen(signals, keep, vehicle, others)
     if seen is None:
         return None
     whole, level = seen.whole_kg, seen.velocity * [1.0, 1.0, 0.0]
@@ -192,7 +193,7 @@ def _searched(left: Callable[[Array], Array]) -> Array:
     return x
 
 
-def _seen(signals: Signals, keep: Mask, vehicle: Vehicle) -> _Seen | None:
+def _seen(signals: Signals, keep: Mask, vehicle: Vehicle, others: Array | None) -> _Seen | None:
     used = np.flatnonzero(keep)
     if not len(used):
         return None
@@ -204,7 +205,8 @@ def _seen(signals: Signals, keep: Mask, vehicle: Vehicle) -> _Seen | None:
     count = len(t_s) // every
     if count * every * step < LEAST_S or not np.isfinite(velocity).all():
         return None
-    thrust = quat_rotate(now.quaternion, from_thrust(vehicle, now.thrust_n)[:, :3])
+    body: Array = from_thrust(vehicle, now.thrust_n)[:, :3]
+    thrust = quat_rotate(now.quaternion, body if others is None else body + others[rows])
     if not np.isfinite(thrust).all() or thrust[:, 2].mean() <= 0.0:
         return None
 

@@ -50,6 +50,13 @@ class Thresholds:
         source="Bonferroni's inequality",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
+    hint_chance: float = _entry(
+        1e-3,
+        "Chance that noise alone gives a hint of an effect, shared by its variants: about 25 effects give one in 40 "
+        "campaigns a flight that it does not need.",
+        source="Bonferroni's inequality",
+        chosen_on="decision 64, on four campaigns that missed a lift or a drag (seeds 2799776732 and 2830910586)",
+    )
     effects_most: int = _entry(
         6,
         "Most effects named in one selection; more than a handful cannot be told apart on one flight.",
