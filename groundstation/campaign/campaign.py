@@ -77,6 +77,8 @@ class Round:
         levels: by parameter what belongs to the vehicle, the days and the flights
             (:class:`~groundstation.campaign.pooling.Levels`).
         would_show: documents of what would have been found, and from what size on.
+        hints: documents of what beats chance and is no finding yet.
+        sought: the effect that the flight was to show after a hint of it, or "".
     """
 
     folder: str
@@ -91,6 +93,8 @@ class Round:
     not_settled: tuple[str, ...] = ()
     levels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     would_show: tuple[Mapping[str, Any], ...] = ()
+    hints: tuple[Mapping[str, Any], ...] = ()
+    sought: str = ""
 
     def names(self) -> tuple[str, ...]:
         """What was found, with rotors: "weak_rotor 2"."""
@@ -102,7 +106,8 @@ class Campaign:
     """A campaign as it stands; immutable, each step gives the next.
 
     Attributes:
-        pending: a decision that is not yet worked through: {"why", "plan"}, and "folder" from the moment it may fly.
+        pending: a decision that is not yet worked through: {"why", "plan", "sought"}, and "folder" from the moment it
+            may fly.
         outcome: "" while it goes on, or one of :mod:`~groundstation.campaign.ending`; ``sentence`` says why.
     """
 
@@ -157,6 +162,7 @@ def load_campaign(folder: Path) -> Campaign:
                     "findings": tuple(r["findings"]),
                     "not_settled": tuple(r["not_settled"]),
                     "would_show": tuple(r.get("would_show", ())),
+                    "hints": tuple(r.get("hints", ())),
                 }
             )
             for r in document["rounds"]
@@ -213,7 +219,8 @@ def advance(
     """
     folder = campaign.pending.get("folder")
     if folder and not campaign.outcome and flown(Path(folder)):
-        campaign = take_in(campaign, Path(folder), campaign.pending["why"], say=say, kept=kept)
+        sought = campaign.pending.get("sought", "")
+        campaign = take_in(campaign, Path(folder), campaign.pending["why"], sought=sought, say=say, kept=kept)
         campaign = replace(campaign, pending={}).save()
     if campaign.pending or campaign.outcome:
         return campaign
@@ -259,7 +266,7 @@ def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campai
     path = campaign.folder / f"plan-{number}.toml"
     campaign.folder.mkdir(parents=True, exist_ok=True)
     write_plan(decision.plan, path)
-    return replace(campaign, pending={"why": decision.why, "plan": str(path)})
+    return replace(campaign, pending={"why": decision.why, "plan": str(path), "sought": decision.sought})
 
 
 def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
@@ -269,11 +276,18 @@ def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
         return first_plan(campaign.vehicle, **options)
     last = campaign.rounds[number - 1]
     diagnosis = read_diagnosis(campaign.folder / f"diagnosis-{number}.json")
-    return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, **options)
+    sought = [r.sought for r in campaign.rounds]
+    return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, sought=sought, **options)
 
 
 def take_in(
-    campaign: Campaign, folder: Path, why: str, *, say: Say = lambda text: None, kept: Kept | None = None
+    campaign: Campaign,
+    folder: Path,
+    why: str,
+    *,
+    sought: str = "",
+    say: Say = lambda text: None,
+    kept: Kept | None = None,
 ) -> Campaign:
     """Judge the model on a flight, then put the flight in.
 
@@ -281,6 +295,7 @@ def take_in(
     later estimates are made without it.
 
     Args:
+        sought: the effect that the flight was to show, or "".
         kept: what earlier rounds left, and this one leaves.
 
     Raises:
@@ -306,7 +321,8 @@ def take_in(
         diagnosis = diagnose(flights, work=kept.work)
     except Refused as error:
         say(f"flight {number}: refused, and left out of later estimates: {error}")
-        return with_round(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
+        refused = Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),), sought=sought)
+        return with_round(campaign, refused)
     model = model_document(found, campaign.vehicle, diagnosis)
     rigid = without_effects(model, {n: e.to_dict() for n, e in diagnosis.parameters_before.items()})
     write_model(campaign.folder / f"model-{number}.toml", model)
@@ -320,6 +336,7 @@ def take_in(
         tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
         levels={name: each.to_dict() for name, each in by_level.items()},
         would_show=tuple(each.to_dict() for each in diagnosis.would_show),
+        hints=tuple(each.to_dict() for each in diagnosis.hints), sought=sought,
     )  # fmt: skip
     return with_round(campaign, done)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,10 +24,11 @@ PLANNABLE = ("rotor_drag", "angular_damping", "com_offset", "flapping_moment", "
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The next flight and the sentence that says why."""
+    """The next flight, the sentence that says why, and the effect that it is to show after a hint of it."""
 
     plan: Plan
     why: str
+    sought: str = ""
 
 
 def first_plan(vehicle: Vehicle, *, seed: int, time_budget_s: float, **limits: float) -> Decision:
@@ -44,27 +45,38 @@ def next_plan(
     estimates: Document,
     reached: Mapping[str, float],
     *,
+    sought: Collection[str] = (),
     seed: int,
     time_budget_s: float,
     **limits: float,
 ) -> Decision:
     """The next flight.
 
+    A hint is flown for once, when two flights are in or nothing else is asked: another flight may settle it anyway.
+
     Args:
         vehicle: as declared; the plan is made for the vehicle as it is estimated now.
         diagnosis: of schema groundstation.diagnosis/1, over all flights so far.
         estimates: canonical parameters now, name -> {"value", "std"}.
         reached: of :func:`~groundstation.targets.reached`.
+        sought: effects that a flight was flown for.
     """
-    if any(finding["alternatives"] for finding in diagnosis.get("findings", ())):
+    rivals = any(finding["alternatives"] for finding in diagnosis.get("findings", ()))
+    hints = [hint for hint in diagnosis.get("hints", ()) if hint["effect"] not in sought]
+    several = len(diagnosis.get("by_flight", ())) > 1
+    shows = (
+        hints[0]["effect"] if hints and not rivals and (several or max(reached.values(), default=0.0) <= 1.0) else ""
+    )
+    if rivals or shows:
         from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 
         try:
             bounds: dict[str, Any] = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
-            found = plan_next(diagnosis, vehicle, seed=seed, **bounds)
-            return Decision(found.plan, f"to separate what is left open: {odds_sentence(found)}")
+            found = plan_next({**diagnosis, "hints": hints}, vehicle, seed=seed, **bounds)
+            aim = "to separate what is left open" if rivals else "to show what there is a hint of"
+            return Decision(found.plan, f"{aim}: {odds_sentence(found)}", shows)
         except GroundStationError:
-            pass  # no motion tells them apart; the flight then sharpens what can be
+            pass  # no motion tells; the flight then sharpens what can be
     known = as_estimated(vehicle, estimates)
     found = {f["effect"] for f in diagnosis.get("findings", ())}
     effects = [name for name in PLANNABLE if name in found]
@@ -84,7 +96,7 @@ def next_plan(
     else:
         why = "to judge the model on a flight that no estimate has seen"
     beside = f", with {', '.join(e.replace('_', ' ') for e in effects)} estimated beside it" if effects else ""
-    return Decision(plan, why + beside)
+    return Decision(plan, why + beside, shows)
 
 
 def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, float], plan: Plan) -> dict[str, float]:

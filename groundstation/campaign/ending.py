@@ -55,6 +55,10 @@ def _against(campaign: Campaign, done: Round) -> list[str]:
     rivals = [f"{f['effect']} or {', '.join(f['alternatives'])}" for f in done.findings if f["alternatives"]]
     if rivals:
         out.append(f"left open: {'; '.join(rivals)}")
+    sought = {done.sought, *(each.sought for each in campaign.rounds)}
+    hinted = [h["effect"].replace("_", " ") for h in done.hints if h["effect"] not in sought]
+    if hinted:
+        out.append(f"a hint of {', '.join(hinted)} that no flight was planned to show yet")
     if not done.judged:
         return [*out, "no flight has judged the model yet"]
     before = campaign.rounds[campaign.model_round() - 1]
