@@ -376,7 +376,7 @@ def plan_next_flight(
     progress: Progress = _quiet,
     **limits: float,
 ) -> Separation:
-    """The flight that tells apart what a diagnosis left open.
+    """The flight that tells apart what a diagnosis left open, or else shows best what it gives a hint of.
 
     Args:
         diagnosis: the result of :func:`diagnose`, or its document.

@@ -46,6 +46,7 @@ def test_what_beats_chance_and_is_no_finding_is_a_hint_with_its_size():
     assert hint.effect == "translational_lift"
     assert hint.values["lift_s2_m2"] > 0.0
     assert "hint of translational lift" in found.next_flight
+    assert "beats chance" not in found.reason, "it does"
     assert found.to_dict()["hints"][0]["evidence"] == hint.evidence
 
 

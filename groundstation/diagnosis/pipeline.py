@@ -146,8 +146,8 @@ def _diagnosis(
     name: str, case: Case, selected: Selected, final: Final, judged: Judged, air: Sequence[PastMotion]
 ) -> Diagnosis:
     """All of it as the result that is written and shown."""
-    reason = _reason(judged.verdict, judged.findings, judged.unexplained)
     hinted = _hints(case, selected)
+    reason = _reason(judged.verdict, judged.findings, judged.unexplained, hinted)
     return Diagnosis(
         flight=name,
         vehicle=case.vehicle.name,
@@ -261,7 +261,11 @@ def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained], 
     return " ".join(parts)
 
 
-def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
+def _reason(
+    verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexplained], hinted: Sequence[Hint] = ()
+) -> str:
+    if verdict == "clean" and hinted:
+        return "No effect is a finding; what is left passes for this flight's own disturbance and sensor noise."
     if verdict == "clean":
         return "No effect beats chance; what is left is this flight's own disturbance and sensor noise."
     if verdict == "explained":
