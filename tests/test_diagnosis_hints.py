@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from flights import laboratory
 
+from groundstation.analysis.analyse import with_next_flight
 from groundstation.campaign import campaign as campaigns
 from groundstation.campaign import ending
 from groundstation.campaign.deciding import next_plan
@@ -24,6 +25,7 @@ from groundstation.planning.discriminate import separation
 from groundstation.planning.limits import envelope, series_excesses
 from groundstation.targets import parse_targets
 from groundstation.trajectory import load_plan
+from groundstation.tui.documents import suspect_rows
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from studies.flown import flight_data
@@ -66,6 +68,14 @@ def test_the_flight_for_a_hint_keeps_the_limits_and_shows_it_far_better_than_the
     one, other = candidate(hint, vehicle, shared), candidate(nothing, vehicle, shared)
     assert found.log_odds["translational_lift", NOTHING] > 2.0 * separation(one, other, plan.series(), vehicle)[0] > 0.0
     assert "should show translational_lift if it is there" in odds_sentence(found)
+
+
+def test_the_analysis_writes_the_flight_for_a_hint(tmp_path: Path):
+    found, path = with_next_flight(tmp_path, diagnosed(1.5), load_vehicle(find_config("vehicles", "qball2")))
+    assert path is not None and load_plan(path).vehicle == "qball2"
+    assert "Planned as next_flight.toml: a flight of 40 s that should show translational_lift" in found.next_flight
+    assert [row[0] for row in suspect_rows(found.to_dict())] == ["translational lift"]
+    assert with_next_flight(tmp_path, diagnosed(0.0), load_vehicle(find_config("vehicles", "qball2")))[1] is None
 
 
 HINT: dict[str, Any] = {

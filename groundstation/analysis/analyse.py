@@ -190,18 +190,24 @@ def with_augmented_loop(
     return replace(identification, validation=tuple(both if c is loop else c for c in identification.validation))
 
 
+HINT_TRIALS_AT_ONCE = 60
+"""Motions tried for a hint while its flight's results are waited for, about two seconds."""
+
+
 def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tuple[Diagnosis, Path | None]:
-    """Where explanations remain, the plan that tells them apart as ``next_flight.toml``, named in the diagnosis.
+    """Where explanations remain, the plan that tells them apart as ``next_flight.toml``, named in the diagnosis; else
+    the one for its first hint.
 
     Where no motion tells them apart, the diagnosis stays as it is: it names the manoeuvre or the measurement.
     """
     from groundstation.analysis.plans import write_plan
     from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 
-    if not any(finding.alternatives for finding in diagnosis.findings):
+    open_ones = any(finding.alternatives for finding in diagnosis.findings)
+    if not open_ones and not diagnosis.hints:
         return diagnosis, None
     try:
-        found = plan_next(diagnosis.to_dict(), vehicle)
+        found = plan_next(diagnosis.to_dict(), vehicle, trials=None if open_ones else HINT_TRIALS_AT_ONCE)
     except GroundStationError:
         return diagnosis, None
     path = write_plan(found.plan, folder / "next_flight.toml")

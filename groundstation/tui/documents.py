@@ -245,13 +245,16 @@ def finding_text(diagnosis: Document) -> str:
 
 
 def suspect_rows(diagnosis: Document) -> list[Row]:
-    """Effects that were tried: name, settings, and the evidence for them."""
+    """Effects that were tried: name, settings, and the evidence for them; then the hints."""
     rows = []
     for candidate in diagnosis.get("candidates", ()):
         settings = ", ".join(f"{name} {value}" for name, value in (candidate.get("settings") or {}).items())
         evidence = candidate.get("evidence")
         shown = significant(evidence) if isinstance(evidence, float | int) else str(evidence or "")
         rows.append((str(candidate.get("effect", "?")).replace("_", " "), settings, shown))
+    for hint in diagnosis.get("hints", ()):
+        evidence = f"{significant(hint['evidence'])}, a hint"
+        rows.append((str(hint["effect"]).replace("_", " "), "", evidence))
     return rows
 
 
