@@ -103,6 +103,8 @@ def test_a_campaign_flies_for_a_hint_once_and_not_before_two_flights_or_its_targ
     assert decided(0.5) == decided(3.0) == "translational_lift"
     assert decided(0.5, by_flight=[]) == "translational_lift"
     assert not decided(3.0, by_flight=[]) and not decided(0.5, sought=("translational_lift",))
+    turned = {"effect": "imu_misalignment", "parameters": {}, "rotor": None, "alternatives": ["mocap_misalignment"]}
+    assert decided(0.5, findings=[turned]) == "translational_lift", "no motion tells the two that are open"
 
 
 def test_a_campaign_does_not_end_on_a_hint_that_nothing_was_flown_for(tmp_path: Path):

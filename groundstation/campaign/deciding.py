@@ -61,22 +61,25 @@ def next_plan(
         reached: of :func:`~groundstation.targets.reached`.
         sought: effects that a flight was flown for.
     """
-    rivals = any(finding["alternatives"] for finding in diagnosis.get("findings", ()))
+    bounds: dict[str, Any] = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
+    findings = diagnosis.get("findings", ())
     hints = [hint for hint in diagnosis.get("hints", ()) if hint["effect"] not in sought]
-    several = len(diagnosis.get("by_flight", ())) > 1
-    shows = (
-        hints[0]["effect"] if hints and not rivals and (several or max(reached.values(), default=0.0) <= 1.0) else ""
-    )
-    if rivals or shows:
+    in_turn = len(diagnosis.get("by_flight", ())) > 1 or max(reached.values(), default=0.0) <= 1.0
+    shows: str = hints[0]["effect"] if hints and in_turn else ""
+    aims = list[tuple[str, Document, str]]()
+    if any(finding["alternatives"] for finding in findings):
+        aims.append(("to separate what is left open", diagnosis, ""))
+    if shows:
+        settled: list[Document] = [{**finding, "alternatives": list[str]()} for finding in findings]
+        aims.append(("to show what there is a hint of", {**diagnosis, "findings": settled, "hints": hints}, shows))
+    for aim, document, effect in aims:
         from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 
         try:
-            bounds: dict[str, Any] = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
-            found = plan_next({**diagnosis, "hints": hints}, vehicle, seed=seed, **bounds)
-            aim = "to separate what is left open" if rivals else "to show what there is a hint of"
-            return Decision(found.plan, f"{aim}: {odds_sentence(found)}", shows)
+            separation = plan_next(document, vehicle, seed=seed, **bounds)
+            return Decision(separation.plan, f"{aim}: {odds_sentence(separation)}", effect)
         except GroundStationError:
-            pass  # no motion tells; the flight then sharpens what can be
+            continue  # no motion tells; the flight then shows or sharpens what can be
     known = as_estimated(vehicle, estimates)
     found = {f["effect"] for f in diagnosis.get("findings", ())}
     effects = [name for name in PLANNABLE if name in found]
