@@ -79,7 +79,7 @@ def test_what_is_left_where_an_effect_lives_is_one_of_noise_alone(selection):
 
 
 def test_a_small_effect_is_told_from_what_forms_leave_and_not_from_what_the_large_one_moves(selection, monkeypatch):
-    """A lift of 42 deviations was dropped beside rotors' inertia of 2000, a tenth of whose omission is more than it."""
+    """A lift of 42 deviations was dropped beside rotors' inertia of 1100, a tenth of whose omission is more than it."""
     named, solution = selection.named(selection.choose())
     found = Selected(selection.evidence, [], named, solution, selection)
     huge = 1e6 * np.diag(np.diag(solution.covariance))
