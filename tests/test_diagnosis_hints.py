@@ -145,19 +145,3 @@ def test_a_steady_wrench_stands_beside_a_dead_time_and_a_tether():
     room = laboratory(constant_wrench=torque, input_delay={"delay_s": 0.03}, tether={"stiffness_n_m": 0.5})
     found = diagnose([flight_data(simulate(vehicle, plan, room, SEED))])
     assert {finding.effect for finding in found.findings} == {"constant_wrench", "input_delay", "tether"}
-
-
-def test_a_strong_climb_inflow_in_a_quiet_room_is_all_there_is():
-    """Its loss went with rotor speed alone: the torque that a climb takes was half of it, and the rest was damping."""
-    vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), load_plan(find_config("plans", "qball2"))
-    room = laboratory(climb_inflow={"gain": 0.9})
-    quiet = {"force_share": 0.003, "torque_share": 0.002, "correlation_s": 0.7, "order": 2}
-    room = room.model_copy(update={"disturbance": room.disturbance.model_copy(update=quiet)})
-    simulated = simulate(vehicle, plan, room, SEED)
-    found = diagnose([flight_data(simulated)])
-    assert found.verdict == "explained" and [finding.effect for finding in found.findings] == ["climb_inflow"]
-    rotors, truth = vehicle.rotors, simulated.truth.parameters()
-    hover = truth["mass_kg"] * vehicle.gravity_m_s2
-    induced = np.sqrt(hover / rotors.count / (2.0 * 1.225 * np.pi * rotors.radius_m**2))
-    k = found.findings[0].parameters["k_kg_s"]
-    assert abs(k.value - 0.9 * hover / (2.0 * induced)) < 3.0 * k.std < 0.15 * k.value

@@ -1,9 +1,4 @@
-"""Climb inflow: thrust falls with climb speed through the disc.
-
-Blade elements of a rotor at Omega in an inflow w lose thrust in proportion to Omega w. Were the induced velocity the
-same whatever the thrust, the loss would go with the thrust itself; rotors lie between. Climbing while it rolls tells
-these apart by the torque: the first loses half of the share that the second does.
-"""
+"""Climb inflow: thrust falls with climb speed through the disc."""
 
 from __future__ import annotations
 
@@ -18,9 +13,6 @@ CURVATURES_S_M = np.linspace(-0.1, 0.2, 13)
 m/s).
 """
 
-THRUST_POWERS = (0.5, 1.0)
-"""Of a rotor's thrust that the loss goes with: blade elements at their speed, and at one induced velocity."""
-
 MOST_KG_S = 100.0
 """At 1 m/s the lift of 10 kg would be gone."""
 
@@ -33,15 +25,14 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
         out[:, 2, 0] = -climb
         return out
     hover = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count
-    share = np.maximum(signals.thrust_n, 0.0) / hover
-    loading = share ** settings.get("thrust_power", THRUST_POWERS[0]) / vehicle.rotors.count
-    out[:, :, 0] = from_inflow(vehicle, -climb[:, None] * loading)
+    speed = np.sqrt(np.maximum(signals.thrust_n, 0.0) / hover) / vehicle.rotors.count
+    out[:, :, 0] = from_inflow(vehicle, -climb[:, None] * speed)
     return out
 
 
 EFFECT = Effect(
     identifier="climb_inflow",
-    equation="T_i = T_0i - (k/n) (w + b w^2) (T_0i / T_hover)^p, p = 1/2 or 1, roll and pitch with them",
+    equation="T_i = T_0i - (k/n) (w + b w^2) Omega_i / Omega_hover, roll and pitch with them",
     source="Svacha, Mohta and Kumar 2017 (thrust falls with vertical speed); its second order: Johnson, Helicopter "
     "Theory, 1994",
     parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),),
@@ -50,8 +41,6 @@ EFFECT = Effect(
     sentence="Climbing at 1 m/s, the rotors give {k_kg_s:N|less|more} thrust.",
     confused_with=("body_drag", "thrust_curve"),
     manoeuvre="climb and sink at several speeds, away from the floor",
-    finer=lambda settings: tuple(
-        {"curvature_s_m": float(b), "thrust_power": p} for p in THRUST_POWERS for b in CURVATURES_S_M
-    ),
+    finer=lambda settings: tuple({"curvature_s_m": float(b)} for b in CURVATURES_S_M),
     shared_by_healthy=3,
 )
