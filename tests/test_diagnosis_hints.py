@@ -78,6 +78,13 @@ def test_the_analysis_writes_the_flight_for_a_hint(tmp_path: Path):
     assert with_next_flight(tmp_path, diagnosed(0.0), load_vehicle(find_config("vehicles", "qball2")))[1] is None
 
 
+TURNED: dict[str, Any] = {
+    "effect": "imu_misalignment",
+    "parameters": {},
+    "rotor": None,
+    "alternatives": ["mocap_misalignment"],
+}
+UNTOLD = "imu_misalignment or mocap_misalignment"
 HINT: dict[str, Any] = {
     "effect": "translational_lift",
     "settings": {},
@@ -103,16 +110,18 @@ def test_a_campaign_flies_for_a_hint_once_and_not_before_two_flights_or_its_targ
     assert decided(0.5) == decided(3.0) == "translational_lift"
     assert decided(0.5, by_flight=[]) == "translational_lift"
     assert not decided(3.0, by_flight=[]) and not decided(0.5, sought=("translational_lift",))
-    turned = {"effect": "imu_misalignment", "parameters": {}, "rotor": None, "alternatives": ["mocap_misalignment"]}
-    assert decided(0.5, findings=[turned]) == "translational_lift", "no motion tells the two that are open"
+    assert decided(0.5, findings=[TURNED]) == "translational_lift", "no motion tells the two that are open"
+    found = next_plan(vehicle, {"findings": [TURNED]}, estimates, {"mass_kg": 3.0}, seed=1, time_budget_s=0.2)
+    assert found.untold == UNTOLD and "to sharpen" in found.why
 
 
-def test_a_campaign_does_not_end_on_a_hint_that_nothing_was_flown_for(tmp_path: Path):
+def begun_in(folder: Path, **changes: Any) -> tuple[campaigns.Campaign, campaigns.Round]:
+    """A campaign of one round against which nothing stands, and that round."""
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
-    (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
+    (folder / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
     errors = {"velocity_m_s": 0.1}
     done = campaigns.Round(
-        str(tmp_path),
+        str(folder),
         "",
         40.0,
         judged={"after": errors},
@@ -121,7 +130,24 @@ def test_a_campaign_does_not_end_on_a_hint_that_nothing_was_flown_for(tmp_path: 
         estimates={"mass_kg": {"value": 1.8, "std": 0.001}},
         reached={"mass_kg": 0.5},
     )
-    begun = campaigns.Campaign(tmp_path, vehicle, parse_targets("mass:0.5%"), 5, 1, rounds=(done,))
+    done = replace(done, **changes)
+    return campaigns.Campaign(folder, vehicle, parse_targets("mass:0.5%"), 5, 1, rounds=(done,)), done
+
+
+def test_a_campaign_ends_where_no_motion_tells_what_is_left_open(tmp_path: Path):
+    begun, done = begun_in(tmp_path, verdict="explained", findings=(TURNED,))
+    on = ending.with_round(begun, done)
+    assert not on.outcome and on.rounds[-1].not_settled == (f"left open: {UNTOLD}",)
+    ended = ending.with_round(on, replace(done, untold=UNTOLD))
+    assert ended.outcome == "limit" and f"no motion in this room tells it: {UNTOLD}" in ended.sentence
+    unsharp = replace(done, untold=UNTOLD, reached={"mass_kg": 2.0})
+    assert not ending.with_round(on, unsharp).outcome, "a target that flights still sharpen"
+    other = replace(done, untold="motor_lag or input_delay")
+    assert not ending.with_round(on, other).outcome, "something else is left open than was when it was planned"
+
+
+def test_a_campaign_does_not_end_on_a_hint_that_nothing_was_flown_for(tmp_path: Path):
+    begun, done = begun_in(tmp_path)
     on = ending.with_round(begun, replace(done, hints=(HINT,)))
     assert not on.outcome and "translational lift" in on.rounds[-1].not_settled[0]
     assert ending.with_round(on, replace(done, hints=(HINT,), sought="translational_lift")).outcome == "settled"

@@ -39,6 +39,8 @@ VEHICLE = "vehicle.toml"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
 
+NO_AIMS: Mapping[str, str] = {}
+
 Say = Callable[[str], None]
 
 
@@ -79,6 +81,7 @@ class Round:
         would_show: documents of what would have been found, and from what size on.
         hints: documents of what beats chance and is no finding yet.
         sought: the effect that the flight was to show after a hint of it, or "".
+        untold: what was left open when the flight was planned and no motion tells apart, or "".
     """
 
     folder: str
@@ -95,6 +98,7 @@ class Round:
     would_show: tuple[Mapping[str, Any], ...] = ()
     hints: tuple[Mapping[str, Any], ...] = ()
     sought: str = ""
+    untold: str = ""
 
     def names(self) -> tuple[str, ...]:
         """What was found, with rotors: "weak_rotor 2"."""
@@ -106,8 +110,8 @@ class Campaign:
     """A campaign as it stands; immutable, each step gives the next.
 
     Attributes:
-        pending: a decision that is not yet worked through: {"why", "plan", "sought"}, and "folder" from the moment it
-            may fly.
+        pending: a decision that is not yet worked through: {"why", "plan", "sought", "untold"}, and "folder" from the
+            moment it may fly.
         outcome: "" while it goes on, or one of :mod:`~groundstation.campaign.ending`; ``sentence`` says why.
     """
 
@@ -219,8 +223,8 @@ def advance(
     """
     folder = campaign.pending.get("folder")
     if folder and not campaign.outcome and flown(Path(folder)):
-        sought = campaign.pending.get("sought", "")
-        campaign = take_in(campaign, Path(folder), campaign.pending["why"], sought=sought, say=say, kept=kept)
+        aims = {name: campaign.pending.get(name, "") for name in ("sought", "untold")}
+        campaign = take_in(campaign, Path(folder), campaign.pending["why"], aims=aims, say=say, kept=kept)
         campaign = replace(campaign, pending={}).save()
     if campaign.pending or campaign.outcome:
         return campaign
@@ -266,7 +270,8 @@ def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campai
     path = campaign.folder / f"plan-{number}.toml"
     campaign.folder.mkdir(parents=True, exist_ok=True)
     write_plan(decision.plan, path)
-    return replace(campaign, pending={"why": decision.why, "plan": str(path), "sought": decision.sought})
+    aims = {"sought": decision.sought, "untold": decision.untold}
+    return replace(campaign, pending={"why": decision.why, "plan": str(path), **aims})
 
 
 def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
@@ -285,7 +290,7 @@ def take_in(
     folder: Path,
     why: str,
     *,
-    sought: str = "",
+    aims: Mapping[str, str] = NO_AIMS,
     say: Say = lambda text: None,
     kept: Kept | None = None,
 ) -> Campaign:
@@ -295,7 +300,7 @@ def take_in(
     later estimates are made without it.
 
     Args:
-        sought: the effect that the flight was to show, or "".
+        aims: ``sought`` and ``untold`` of the round.
         kept: what earlier rounds left, and this one leaves.
 
     Raises:
@@ -321,7 +326,7 @@ def take_in(
         diagnosis = diagnose(flights, work=kept.work)
     except Refused as error:
         say(f"flight {number}: refused, and left out of later estimates: {error}")
-        refused = Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),), sought=sought)
+        refused = Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),), **aims)
         return with_round(campaign, refused)
     model = model_document(found, campaign.vehicle, diagnosis)
     rigid = without_effects(model, {n: e.to_dict() for n, e in diagnosis.parameters_before.items()})
@@ -336,7 +341,7 @@ def take_in(
         tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
         levels={name: each.to_dict() for name, each in by_level.items()},
         would_show=tuple(each.to_dict() for each in diagnosis.would_show),
-        hints=tuple(each.to_dict() for each in diagnosis.hints), sought=sought,
+        hints=tuple(each.to_dict() for each in diagnosis.hints), **aims,
     )  # fmt: skip
     return with_round(campaign, done)
 

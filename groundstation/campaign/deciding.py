@@ -24,11 +24,23 @@ PLANNABLE = ("rotor_drag", "angular_damping", "com_offset", "flapping_moment", "
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The next flight, the sentence that says why, and the effect that it is to show after a hint of it."""
+    """The next flight.
+
+    Attributes:
+        why: it is flown, a sentence.
+        sought: the effect that it is to show after a hint of it, or "".
+        untold: what is left open and no motion in this room tells apart, as :func:`left_open` says it, or "".
+    """
 
     plan: Plan
     why: str
     sought: str = ""
+    untold: str = ""
+
+
+def left_open(findings: Sequence[Document]) -> str:
+    """Findings that another effect would explain as well, "" where there are none."""
+    return "; ".join(f"{f['effect']} or {', '.join(f['alternatives'])}" for f in findings if f["alternatives"])
 
 
 def first_plan(vehicle: Vehicle, *, seed: int, time_budget_s: float, **limits: float) -> Decision:
@@ -66,8 +78,8 @@ def next_plan(
     hints = [hint for hint in diagnosis.get("hints", ()) if hint["effect"] not in sought]
     in_turn = len(diagnosis.get("by_flight", ())) > 1 or max(reached.values(), default=0.0) <= 1.0
     shows: str = hints[0]["effect"] if hints and in_turn else ""
-    aims = list[tuple[str, Document, str]]()
-    if any(finding["alternatives"] for finding in findings):
+    aims, untold = list[tuple[str, Document, str]](), ""
+    if left_open(findings):
         aims.append(("to separate what is left open", diagnosis, ""))
     if shows:
         settled: list[Document] = [{**finding, "alternatives": list[str]()} for finding in findings]
@@ -77,9 +89,9 @@ def next_plan(
 
         try:
             separation = plan_next(document, vehicle, seed=seed, **bounds)
-            return Decision(separation.plan, f"{aim}: {odds_sentence(separation)}", effect)
-        except GroundStationError:
-            continue  # no motion tells; the flight then shows or sharpens what can be
+            return Decision(separation.plan, f"{aim}: {odds_sentence(separation)}", effect, untold)
+        except GroundStationError:  # no motion tells; the flight then shows or sharpens what can be
+            untold = untold if effect else left_open(findings)
     known = as_estimated(vehicle, estimates)
     found = {f["effect"] for f in diagnosis.get("findings", ())}
     effects = [name for name in PLANNABLE if name in found]
@@ -99,7 +111,7 @@ def next_plan(
     else:
         why = "to judge the model on a flight that no estimate has seen"
     beside = f", with {', '.join(e.replace('_', ' ') for e in effects)} estimated beside it" if effects else ""
-    return Decision(plan, why + beside, shows)
+    return Decision(plan, why + beside, shows, untold)
 
 
 def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, float], plan: Plan) -> dict[str, float]:

@@ -1,7 +1,8 @@
 """How a campaign ends, and the sentence that says so.
 
-It is *settled* where nothing stands against the model and its targets are met; at its *limit* where nothing but targets
-is left, and further flights do not sharpen these; *exhausted* where no more flights may be flown.
+It is *settled* where nothing stands against the model and its targets are met; at its *limit* where nothing is left but
+targets that further flights do not sharpen, and findings that no motion tells apart; *exhausted* where no more flights
+may be flown.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.campaign.deciding import flights_needed, promised
+from groundstation.campaign.deciding import flights_needed, left_open, promised
 from groundstation.campaign.judging import at_floor
 from groundstation.errors import BadInput
 from groundstation.reporting.units import label, significant, split_unit
@@ -35,7 +36,8 @@ def with_round(campaign: Campaign, done: Round) -> Campaign:
     limited = False
     if done.estimates:
         against, missed = _against(campaign, done), {name for name, share in done.reached.items() if share > 1.0}
-        done = replace(done, not_settled=tuple([*against, *_not_sharp(done)]))
+        untold = _untold(done)
+        done = replace(done, not_settled=tuple([*against, *untold, *_not_sharp(done)]))
         limited = not against and missed == set(stuck(campaign, done))
     rounds = (*campaign.rounds, done)
     if not done.not_settled:
@@ -52,9 +54,9 @@ def _against(campaign: Campaign, done: Round) -> list[str]:
     out = []
     if done.verdict not in ("clean", "explained"):
         out.append(f"the verdict over all flights is {done.verdict}")
-    rivals = [f"{f['effect']} or {', '.join(f['alternatives'])}" for f in done.findings if f["alternatives"]]
-    if rivals:
-        out.append(f"left open: {'; '.join(rivals)}")
+    rivals = left_open(done.findings)
+    if rivals and not _untold(done):
+        out.append(f"left open: {rivals}")
     sought = {done.sought, *(each.sought for each in campaign.rounds)}
     hinted = [h["effect"].replace("_", " ") for h in done.hints if h["effect"] not in sought]
     if hinted:
@@ -67,6 +69,12 @@ def _against(campaign: Campaign, done: Round) -> list[str]:
     elif not at_floor(done.judged["after"], before.seen):
         out.append("on the unseen flight the model's error was above that on its own flights")
     return out
+
+
+def _untold(done: Round) -> list[str]:
+    """What is left open and was when this flight was planned, where no motion told it apart."""
+    rivals = left_open(done.findings)
+    return [f"left open, and no motion in this room tells it: {rivals}"] if rivals and rivals == done.untold else []
 
 
 def _not_sharp(done: Round) -> list[str]:
@@ -122,7 +130,8 @@ def _settled(rounds: Sequence[Round]) -> str:
 def _at_limit(rounds: Sequence[Round]) -> str:
     done = rounds[-1]
     missed = [name for name, share in done.reached.items() if share > 1.0]
-    return f"Ended after {_flown(rounds)}; {_not_sharp(done)[0]}.{_may_have_missed(done)}{_no_matter(missed)}"
+    text = f"Ended after {_flown(rounds)}; {'; '.join(done.not_settled)}.{_may_have_missed(done)}"
+    return text + _no_matter(missed) if missed else text
 
 
 def _exhausted(campaign: Campaign, done: Round) -> str:

@@ -247,6 +247,12 @@ class Thresholds:
         source="chi squared distribution: 95 % with two degrees of freedom",
         chosen_on="5f097b6, on a simulated flight whose battery sagged",
     )
+    timing_divided_std: float = _entry(
+        5.0,
+        "Published standard deviations that each of lag and dead time has to be from none where both are named.",
+        source="normal distribution: once in two million",
+        chosen_on="94ce155, on a simulated campaign with a dead time whose battery sagged",
+    )
 
     # Sensors among themselves: kinematic.py
     sensor_std: float = _entry(

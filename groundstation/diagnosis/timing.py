@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 NAMES = (*LAG.names()[:2], *DELAY.names())
 SLOPE = LAG.names()[2]
+MEAN_LAG, ALONE = np.array([0.5, 0.5, 0.0]), np.array([0.0, 0.0, 1.0])
+"""Of lag up, lag down and dead time: the mean of the lags, and the dead time."""
 
 
 def _estimated(first: FlightEvidence, solution: Solution, published: Array) -> tuple[Array, Array, Array, _Beside]:
@@ -46,9 +48,9 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
     """From the joint estimate with the named effects; lag and dead time are rivals, or stand together.
 
     With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the
-    other way round: the two single explanations differ by it. Both stand where the published interval of the dead time
-    does not hold zero, a lag alone where that of the lags does not: what the noise tells of them, weak instruments and
-    formulas may leave open.
+    other way round: the two single explanations differ by it. Both stand where each is told from none in what is
+    published (``timing_divided_std``), a lag alone where the published region of the lags does not hold none: what the
+    noise tells of them, weak instruments and formulas may leave open.
 
     Args:
         published: covariance (p, p) that the intervals are of: the joint estimate's and what is left open beside it.
@@ -67,7 +69,8 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
     lag, delay = float(values[:2].mean()), float(values[2])
     if chance >= 0.0 or lag + delay < LAG.least:
         return []
-    divided = delay > 1.96 * np.sqrt(spread[2, 2])
+    lag_std, delay_std = (float(np.sqrt(part @ spread @ part)) for part in (MEAN_LAG, ALONE))
+    divided = min(lag / lag_std, delay / delay_std) > THRESHOLDS.timing_divided_std
     both = min(only_delay_explains, only_lag_explains) > THRESHOLDS.timing_wald and lag > LAG.least
     if both and delay > DELAY.least and divided:
         return [
