@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,31 +200,44 @@ class Selection:
         there = {c.identifier for c, _ in (*self.baseline, *chosen)}
         return not candidate.effect.rests_on or bool(there.intersection(candidate.effect.rests_on))
 
-    def _best_addition(self, chosen: list[Entry], refuted: set[str]) -> Entry | None:
-        taken = {c.identifier for c, _ in chosen} | refuted
-        entries = [entry for entry in self.pool if entry[0].identifier not in taken]
+    def _best_addition(self, chosen: Sequence[Entry], refuted: Set[str] = frozenset()) -> Entry | None:
+        """What shows most beside a set; None where nothing does."""
+        entries = self._others(chosen, refuted)
         margins = self._margins_of_each(chosen, entries)
         best = int(np.argmax(margins)) if entries else 0
         return entries[best] if entries and margins[best] > 0.0 else None
 
-    def _best_small(self, chosen: Sequence[Entry], refuted: set[str]) -> Entry | None:
-        """The best of those that stand as small effects do beside what was chosen."""
-        if not chosen:
-            return None
-        taken = {c.identifier for c, _ in chosen} | refuted
-        entries = self._beating_chance(chosen, [entry for entry in self.pool if entry[0].identifier not in taken])
-        margins = self.small.margins([*self.baseline, *chosen], entries) if entries else []
+    def _best_of_all(self, chosen: Sequence[Entry], refuted: Set[str]) -> Entry | None:
+        """The same where those count, too, that stand as small effects do: what the formulas of the set may leave hides
+        them, and they explain more beside its forms than what shows most.
+        """
+        entries = self._others(chosen, refuted)
+        margins = self._margins_of_each(chosen, entries)
+        best = int(np.argmax(margins)) if entries else 0
+        least = max(margins[best], 0.0) if entries else 0.0
+        shown = entries[best] if least > 0.0 else None
+        hidden = [entry for entry, margin in zip(entries, margins, strict=True) if margin <= 0.0] if chosen else []
+        small = self._beating_chance(chosen, hidden, least)
+        margins = self.small.margins([*self.baseline, *chosen], small) if small else []
         best = int(np.argmax(margins)) if margins else 0
-        return entries[best] if margins and margins[best] > 0.0 else None
+        if not margins or margins[best] <= least:
+            return shown
+        self.small.kinds.add(kind_of(small[best]))
+        return small[best]
 
-    def _beating_chance(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[Entry]:
-        """Those of some that beat chance beside a set."""
+    def _others(self, chosen: Sequence[Entry], refuted: Set[str]) -> list[Entry]:
+        """The pool without effects that were chosen or refuted."""
+        taken = {c.identifier for c, _ in chosen} | refuted
+        return [entry for entry in self.pool if entry[0].identifier not in taken]
+
+    def _beating_chance(self, chosen: Sequence[Entry], entries: Sequence[Entry], least: float = 0.0) -> list[Entry]:
+        """Those of some that beat chance beside a set by more than so much."""
         out: list[Entry] = []
         for found in beside(self.evidence, [*self.baseline, *chosen], entries):
             right = found.plausible() & found.material(self.evidence.scale)
             for entry, wald, fits in zip(found.entries, found.walds(), right, strict=True):
                 chance = self.threshold(*entry, found.telling)
-                if fits and wald > chance and self.has_prerequisites(entry[0], [*chosen, entry]):
+                if fits and wald > chance + least and self.has_prerequisites(entry[0], [*chosen, entry]):
                     out.append(entry)
         return out
 
@@ -290,7 +303,7 @@ class Selection:
     def _grown(self, start: Entry) -> list[Entry]:
         """Forward selection from one candidate, without rivals for a place."""
         chosen, been = [start], {frozenset({start[1].number})}
-        while len(chosen) < THRESHOLDS.effects_most and (entry := self._best_addition(chosen, set())) is not None:
+        while len(chosen) < THRESHOLDS.effects_most and (entry := self._best_addition(chosen)) is not None:
             chosen = self._pruned([*chosen, entry])
             now = frozenset(columns.number for _, columns in chosen)
             if now in been:  # two that drive each other out would take turns for ever
@@ -309,10 +322,7 @@ class Selection:
         """Select, prune, and let rivals contest each place."""
         refuted: set[str] = set()
         for _ in range(2 * THRESHOLDS.effects_most):
-            entry = self._best_addition(chosen, refuted) if len(chosen) < THRESHOLDS.effects_most else None
-            if entry is None and len(chosen) < THRESHOLDS.effects_most:
-                entry = self._best_small(chosen, refuted)
-                self.small.kinds |= {kind_of(entry)} if entry else set()
+            entry = self._best_of_all(chosen, refuted) if len(chosen) < THRESHOLDS.effects_most else None
             if entry is None:
                 break
             *_, entry = refined = self._refined([*chosen, entry], len(chosen))
@@ -323,6 +333,7 @@ class Selection:
             chosen = self._pruned(self._contested(refined))
             if [c for c, _ in chosen] == before:
                 break
+            refuted = set()  # beside others, what made a prediction worse may make it better
         return chosen
 
     def still_significant(self, candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -13,7 +13,7 @@ from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_conjugate, quat_exp, quat_log, quat_multiply, slerp
 from groundstation.identification.noise import NoiseModel, early_noise_model, innovations
 from groundstation.identification.parts import at_times, by_parts, running_sums, weighted_products
-from groundstation.identification.smoothing import integrate_rates, local_level
+from groundstation.identification.smoothing import integrate_rates, integrated_level
 from groundstation.identification.stretches import gaps, parts_of, within
 
 Array = NDArray[np.float64]
@@ -259,7 +259,7 @@ def _attitude_step(
         good = ~bad
         dt_good, beside = np.concatenate([[0.0], np.diff(tk[good])]), beside_gaps(recording, tk[good])
         dt_good[[poses.start for _, poses in beside[1:]]] = _UNKNOWN_S
-        levels = local_level(remainder.reshape(3, count).T[good], dt_good, colour.process, colour.sensor)
+        levels = integrated_level(remainder.reshape(3, count).T[good], dt_good, colour.vector())
         filtered, smoothed = (_turned(recording.t_imu, tk[good], level, attitude, beside) for level in levels)
         return filtered, smoothed
 

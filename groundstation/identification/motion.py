@@ -28,7 +28,7 @@ from groundstation.identification.clock import coarse_offset, rates_from_attitud
 from groundstation.identification.instruments import FlownMotion
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.results import Clock
-from groundstation.identification.streams import clean, origin_poses
+from groundstation.identification.streams import clean, origin_poses, span_in_the_air
 from groundstation.linear_filters import both_ways, low_pass
 
 Array = NDArray[np.float64]
@@ -151,8 +151,13 @@ def _unaided(imu: Stream, notes: Sequence[str]) -> Motion:
 
 
 def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[str]) -> Motion:
-    """IMU and poses reconstructed into one motion."""
-    t, gyro, accel, pose, vehicle = imu.t_s, imu.values[:, :3], imu.values[:, 3:6], tracked.pose, flight.vehicle
+    """IMU and poses reconstructed into one motion.
+
+    On the ground a knock turns the vehicle faster than a gyro follows, and a hand or a stop moves it: poses from there
+    would be made up for by clocks, biases and tilt.
+    """
+    t, gyro, accel, vehicle = imu.t_s, imu.values[:, :3], imu.values[:, 3:6], flight.vehicle
+    pose = _in_the_air(flight, tracked)
     rotation = np.asarray(vehicle.mocap.rotation_rad)
     found = reconstruct(
         Recording(t, gyro, accel, pose.t_s, pose.values[:, :3], pose.values[:, 3:7], rotation),
@@ -187,6 +192,14 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
         clock=clock,
         notes=(*notes, *([] if clock is None else _disagreement(clock)), *([left_out] if dropped else [])),
     )
+
+
+def _in_the_air(flight: FlightData, tracked: _Tracked) -> Stream:
+    """Poses between take-off and landing; all where too few lie there."""
+    begin, end = span_in_the_air(flight)
+    t = tracked.pose.t_s - tracked.offset_s
+    flown = (t > begin) & (t < end)
+    return tracked.pose if flown.all() or flown.sum() < LEAST else tracked.pose.select(flown)
 
 
 def _clock(flight: FlightData, found: Compatibility, at_s: float) -> Clock:

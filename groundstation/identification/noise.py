@@ -69,7 +69,7 @@ class NoiseModel:
 
 
 @njit(cache=True)
-def _driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[float, float, float]:
+def driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[float, float, float]:
     """Exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise: 00, 01, 11."""
     s2 = sigma * sigma
     q11 = s2 * (1.0 - phi * phi)
@@ -105,7 +105,7 @@ def _integrated_innovations(
         h = dt[i]
         phi = np.exp(-h / tau)
         g = tau * (1.0 - phi)
-        q00, q01, q11 = _driven(sigma, tau, q, h, phi)
+        q00, q01, q11 = driven(sigma, tau, q, h, phi)
         n00 = p00 + 2.0 * g * p01 + g * g * p11 + q00
         n01 = phi * (p01 + g * p11) + q01
         n11 = phi * phi * p11 + q11

@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from groundstation.identification.noise import driven
+
 Array = NDArray[np.float64]
 Upper = tuple[float, float, float, float, float, float]
 """Entries 00, 01, 02, 11, 12, 22 of a covariance."""
@@ -38,24 +40,56 @@ def integrate_rates(start: Array, dt: Array, rate: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def local_level(z: Array, dt: Array, q: float, r: float) -> tuple[Array, Array]:
-    """Filtered and smoothed level of z = random walk + white noise, columns alike, shapes (k, m)."""
+def integrated_level(z: Array, dt: Array, noise: Array) -> tuple[Array, Array]:
+    """Filtered and smoothed level of z = level + white noise, columns alike, shapes (k, m).
+
+    The level is the integral of an Ornstein-Uhlenbeck rate and of white noise, as
+    :func:`~groundstation.identification.noise.innovations` has it: a gyro's bias that walks is such a rate.
+
+    Args:
+        z: shape (k, m). dt: before each sample, (k,).
+        noise: standard deviation of the rate and its correlation time (s), root of the white noise's density, standard
+            deviation of one sample, (4,).
+    """
+    sigma, tau, q, r = noise
     k, m = z.shape
-    filtered = np.empty((k, m))
-    predicted_p = np.empty(k)
-    filtered_p = np.empty(k)
-    filtered[0] = z[0]
-    predicted_p[0], filtered_p[0] = 1e12, r * r
+    level, rate = np.empty((k, m)), np.zeros((k, m))
+    seen, ahead = np.empty((k, 3)), np.empty((k, 3))  # entries 00, 01, 11 of covariances
+    level[0] = z[0]
+    seen[0, 0], seen[0, 1], seen[0, 2] = r * r, 0.0, sigma * sigma
     for i in range(1, k):
-        p = filtered_p[i - 1] + q * q * dt[i]
-        gain = p / (p + r * r)
-        filtered[i] = filtered[i - 1] + gain * (z[i] - filtered[i - 1])
-        predicted_p[i], filtered_p[i] = p, (1.0 - gain) * p
-    smoothed = filtered.copy()
+        phi = np.exp(-dt[i] / tau)
+        g = tau * (1.0 - phi)
+        q00, q01, q11 = driven(sigma, tau, q, dt[i], phi)
+        a, b, c = seen[i - 1]
+        p00, p01, p11 = a + g * (2.0 * b + g * c) + q00, phi * (b + g * c) + q01, phi * phi * c + q11
+        k0, k1 = p00 / (p00 + r * r), p01 / (p00 + r * r)
+        for j in range(m):
+            before = level[i - 1, j] + g * rate[i - 1, j]
+            error = z[i, j] - before
+            level[i, j], rate[i, j] = before + k0 * error, phi * rate[i - 1, j] + k1 * error
+        ahead[i, 0], ahead[i, 1], ahead[i, 2] = p00, p01, p11
+        left = r * r / (p00 + r * r)  # 1 - k0 without the cancellation
+        seen[i, 0], seen[i, 1], seen[i, 2] = left * p00, left * p01, max(p11 - k1 * p01, 0.0)
+    smooth_level, smooth_rate = level.copy(), rate.copy()
     for i in range(k - 2, -1, -1):
-        gain = filtered_p[i] / predicted_p[i + 1] if predicted_p[i + 1] > 0.0 else 0.0
-        smoothed[i] = filtered[i] + gain * (smoothed[i + 1] - filtered[i])
-    return filtered, smoothed
+        phi = np.exp(-dt[i + 1] / tau)
+        g = tau * (1.0 - phi)
+        a, b, c = seen[i]
+        p00, p01, p11 = ahead[i + 1]
+        f00, f01, f10, f11 = a + g * b, phi * b, b + g * c, phi * c
+        det = p00 * p11 - p01 * p01
+        if det > 1e-12 * p00 * p11:
+            c00, c01 = (f00 * p11 - f01 * p01) / det, (f01 * p00 - f00 * p01) / det
+            c10, c11 = (f10 * p11 - f11 * p01) / det, (f11 * p00 - f10 * p01) / det
+        else:  # no rate to speak of
+            c00, c01, c10, c11 = f00 / p00 if p00 > 0.0 else 0.0, 0.0, 0.0, 0.0
+        for j in range(m):
+            d0 = smooth_level[i + 1, j] - (level[i, j] + g * rate[i, j])
+            d1 = smooth_rate[i + 1, j] - phi * rate[i, j]
+            smooth_level[i, j] += c00 * d0 + c01 * d1
+            smooth_rate[i, j] += c10 * d0 + c11 * d1
+    return level, smooth_level
 
 
 @njit(cache=True)

@@ -57,15 +57,27 @@ def flown_stretches(flight: FlightData, transient_s: float | None = None) -> tup
     if flight.window_s is not None:
         start, end = flight.window_s
         return ((start + (min(TRANSIENT_S, 0.2 * (end - start)) if transient_s is None else transient_s), end),)
-    motors = clean(flight.motors)
-    t = motors.t_s
-    thrust = declared_wrench(flight.vehicle, motors, flight.battery, t)[:, 0]
+    t, thrust = _thrust(flight)
     found = airborne(t, thrust)
     if not found:
         if not np.any(thrust > 0.0):
             raise NotIdentifiable("The rotors never made thrust.", "Record a flight.")
         raise NotIdentifiable(f"The vehicle was in the air for less than {SHORTEST_S + 2.0:.0f} s.", "Fly longer.")
     return found
+
+
+def span_in_the_air(flight: FlightData) -> Stretch:
+    """From the first stretch in the air to the end of the last one, by thrust alone, on the motors' clock; without end
+    where thrust tells of none.
+    """
+    found = airborne(*_thrust(flight))
+    return (found[0][0], found[-1][1]) if found else (-np.inf, np.inf)
+
+
+def _thrust(flight: FlightData) -> tuple[Array, Array]:
+    """Stamps of the motors (k,) and the thrust by the declared constants, N."""
+    motors = clean(flight.motors)
+    return motors.t_s, declared_wrench(flight.vehicle, motors, flight.battery, motors.t_s)[:, 0]
 
 
 def excitation_window(flight: FlightData, transient_s: float | None = None) -> tuple[float, float]:
