@@ -189,6 +189,25 @@ def test_only_a_weighed_mass_tells_another_thrust_constant():
     assert scale_findings(vehicle, {"mass_kg": Estimate.normal(2.0, 0.001)}) == []
 
 
+def test_what_was_refuted_alone_is_asked_again_beside_others(monkeypatch):
+    """A damping beside rotors' inertia makes a prediction worse alone, and better beside it."""
+    one, other = [
+        (Candidate(effect, {}), Columns.of(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(6)))
+        for effect in list(library().values())[:2]
+    ]
+    selection = object.__new__(Selection)
+
+    def best(chosen, refuted):
+        return next((e for e in (one, other) if e not in chosen and e[0].identifier not in refuted), None)
+
+    monkeypatch.setattr(selection, "_best_of_all", best)
+    monkeypatch.setattr(selection, "_refined", lambda chosen, index: chosen)
+    monkeypatch.setattr(selection, "_improves_held_out", lambda chosen, entry: entry is other or other in chosen)
+    for same in ("_contested", "_pruned"):
+        monkeypatch.setattr(selection, same, list)
+    assert selection._selected([]) == [other, one]
+
+
 def test_two_candidates_that_drive_each_other_out_do_not_take_turns_for_ever(monkeypatch):
     """On measured flights without a plan this kept the diagnosis busy without end."""
     entries = [
@@ -197,6 +216,6 @@ def test_two_candidates_that_drive_each_other_out_do_not_take_turns_for_ever(mon
     ]
     start, one, other = entries
     selection = object.__new__(Selection)
-    monkeypatch.setattr(selection, "_best_addition", lambda chosen, _: other if chosen[-1] is one else one)
+    monkeypatch.setattr(selection, "_best_addition", lambda chosen: other if chosen[-1] is one else one)
     monkeypatch.setattr(selection, "_pruned", lambda chosen: [start, chosen[-1]])
     assert len(selection._grown(start)) == 2

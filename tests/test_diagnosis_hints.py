@@ -5,26 +5,29 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from flights import laboratory
 
 from groundstation.analysis.analyse import with_next_flight
+from groundstation.analysis.documents import write_json
 from groundstation.campaign import campaign as campaigns
 from groundstation.campaign import ending
-from groundstation.campaign.deciding import next_plan
+from groundstation.campaign.deciding import GENTLE_M_S2, next_plan
 from groundstation.diagnosis import diagnose, next_flight
 from groundstation.diagnosis.discrepancy import allowance, allowance_by_band
 from groundstation.diagnosis.next_flight import NOTHING, candidate, contenders, odds_sentence, plan_next
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.errors import NotIdentifiable
+from groundstation.flightdata import FlightData
 from groundstation.paths import find_config
 from groundstation.planning.discriminate import separation
 from groundstation.planning.limits import envelope, series_excesses
 from groundstation.targets import parse_targets
-from groundstation.trajectory import load_plan
+from groundstation.trajectory import load_plan, rigid_motion
 from groundstation.tui.documents import suspect_rows
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
@@ -144,6 +147,34 @@ def test_a_campaign_ends_where_no_motion_tells_what_is_left_open(tmp_path: Path)
     assert not ending.with_round(on, unsharp).outcome, "a target that flights still sharpen"
     other = replace(done, untold="motor_lag or input_delay")
     assert not ending.with_round(on, other).outcome, "something else is left open than was when it was planned"
+
+
+def test_what_swings_too_far_is_flown_gently_and_estimated_from_gentle_flights_alone(tmp_path: Path):
+    begun, done = begun_in(tmp_path, verdict="unexplained")
+    begun.save()
+    document = {**diagnosed(0.0).to_dict(), "hints": [], "swing": {"load_kg": 0.05, "length_m": 0.5}}
+    write_json(tmp_path / "diagnosis-1.json", document)
+    decision = campaigns._decision(begun, {})
+    assert decision.gently and "gently, for a load swings below" in decision.why
+    motion = rigid_motion(decision.plan.series().sample(np.linspace(0.0, 40.0, 2000)))
+    assert np.abs(motion.acceleration_world_m_s2).max() <= GENTLE_M_S2 + 1e-6
+
+    class Asked:
+        """Keeps which flights are asked for, and estimates none."""
+
+        folders: ClassVar[list[str]] = []
+
+        def flight(self, folder: Path, vehicle: object) -> FlightData:
+            self.folders.append(folder.name)
+            return flight_data(simulate(begun.vehicle, load_plan(find_config("plans", "qball2")), laboratory(), SEED))
+
+        def states(self, flights: object) -> None:
+            raise NotIdentifiable("no", "no")
+
+    again = replace(begun, rounds=(done, replace(done, folder=str(tmp_path / "second"), gently="why")))
+    after = campaigns.take_in(again, tmp_path / "third", "", aims={"gently": "why"}, kept=Asked())
+    assert sorted(Asked.folders) == ["second", "third"]
+    assert campaigns.load_campaign(after.save().folder).rounds[-1].gently == "why"
 
 
 def test_a_campaign_does_not_end_on_a_hint_that_nothing_was_flown_for(tmp_path: Path):

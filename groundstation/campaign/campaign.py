@@ -12,10 +12,11 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from groundstation.campaign.deciding import Decision, first_plan, next_plan
+from groundstation.campaign.deciding import SWINGS, Decision, first_plan, gentle_plan, next_plan
 from groundstation.campaign.ending import with_round
 from groundstation.campaign.judging import Errors, prediction_errors, without_effects
 from groundstation.campaign.pooling import day_of, pooled, widened
@@ -39,6 +40,8 @@ VEHICLE = "vehicle.toml"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
 
+AIMS = ("sought", "untold", "gently")
+"""What a flight is for beside its sentence, and a round keeps."""
 NO_AIMS: Mapping[str, str] = {}
 
 Say = Callable[[str], None]
@@ -82,6 +85,8 @@ class Round:
         hints: documents of what beats chance and is no finding yet.
         sought: the effect that the flight was to show after a hint of it, or "".
         untold: what was left open when the flight was planned and no motion tells apart, or "".
+        gently: why the flight was planned to be gentle, or "". From the first such flight on estimates are of these
+            alone: what made them necessary was beyond what a model follows.
     """
 
     folder: str
@@ -99,6 +104,7 @@ class Round:
     hints: tuple[Mapping[str, Any], ...] = ()
     sought: str = ""
     untold: str = ""
+    gently: str = ""
 
     def names(self) -> tuple[str, ...]:
         """What was found, with rotors: "weak_rotor 2"."""
@@ -110,8 +116,8 @@ class Campaign:
     """A campaign as it stands; immutable, each step gives the next.
 
     Attributes:
-        pending: a decision that is not yet worked through: {"why", "plan", "sought", "untold"}, and "folder" from the
-            moment it may fly.
+        pending: a decision that is not yet worked through: {"why", "plan", "sought", "untold", "gently"}, and "folder"
+            from the moment it may fly.
         outcome: "" while it goes on, or one of :mod:`~groundstation.campaign.ending`; ``sentence`` says why.
     """
 
@@ -223,7 +229,7 @@ def advance(
     """
     folder = campaign.pending.get("folder")
     if folder and not campaign.outcome and flown(Path(folder)):
-        aims = {name: campaign.pending.get(name, "") for name in ("sought", "untold")}
+        aims = {name: campaign.pending.get(name, "") for name in AIMS}
         campaign = take_in(campaign, Path(folder), campaign.pending["why"], aims=aims, say=say, kept=kept)
         campaign = replace(campaign, pending={}).save()
     if campaign.pending or campaign.outcome:
@@ -270,7 +276,7 @@ def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campai
     path = campaign.folder / f"plan-{number}.toml"
     campaign.folder.mkdir(parents=True, exist_ok=True)
     write_plan(decision.plan, path)
-    aims = {"sought": decision.sought, "untold": decision.untold}
+    aims = {"sought": decision.sought, "untold": decision.untold, "gently": decision.gently}
     return replace(campaign, pending={"why": decision.why, "plan": str(path), **aims})
 
 
@@ -282,7 +288,9 @@ def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
     last = campaign.rounds[number - 1]
     diagnosis = read_diagnosis(campaign.folder / f"diagnosis-{number}.json")
     sought = [r.sought for r in campaign.rounds]
-    return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, sought=sought, **options)
+    plan = partial(next_plan, campaign.vehicle, diagnosis, last.estimates, last.reached, sought=sought)
+    why = SWINGS if diagnosis.get("swing") else next((r.gently for r in campaign.rounds if r.gently), "")
+    return gentle_plan(plan, why, options) if why else plan(**options)
 
 
 def take_in(
@@ -300,7 +308,7 @@ def take_in(
     later estimates are made without it.
 
     Args:
-        aims: ``sought`` and ``untold`` of the round.
+        aims: ``sought``, ``untold`` and ``gently`` of the round.
         kept: what earlier rounds left, and this one leaves.
 
     Raises:
@@ -313,9 +321,11 @@ def take_in(
     from groundstation.reporting.exports import model_document, write_model
 
     number, kept = len(campaign.rounds) + 1, kept or Kept()
+    sought, untold, gently = (aims.get(name, "") for name in AIMS)
     flight = kept.flight(folder, campaign.vehicle)
     judged: Mapping[str, Errors] = {}
-    folders = [*(Path(r.folder) for r in campaign.rounds if r.estimates), folder]
+    like = [r for r in campaign.rounds if r.estimates and (r.gently or not gently)]
+    folders = [*(Path(r.folder) for r in like), folder]
     flights = [*(kept.flight(each, campaign.vehicle) for each in folders[:-1]), flight]
     try:
         states = kept.states(flights)
@@ -326,7 +336,10 @@ def take_in(
         diagnosis = diagnose(flights, work=kept.work)
     except Refused as error:
         say(f"flight {number}: refused, and left out of later estimates: {error}")
-        refused = Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),), **aims)
+        refused = Round(
+            str(folder), why, _seconds(flight), judged, not_settled=(str(error),), sought=sought, untold=untold,
+            gently=gently,
+        )  # fmt: skip
         return with_round(campaign, refused)
     model = model_document(found, campaign.vehicle, diagnosis)
     rigid = without_effects(model, {n: e.to_dict() for n, e in diagnosis.parameters_before.items()})
@@ -341,7 +354,7 @@ def take_in(
         tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
         levels={name: each.to_dict() for name, each in by_level.items()},
         would_show=tuple(each.to_dict() for each in diagnosis.would_show),
-        hints=tuple(each.to_dict() for each in diagnosis.hints), **aims,
+        hints=tuple(each.to_dict() for each in diagnosis.hints), sought=sought, untold=untold, gently=gently,
     )  # fmt: skip
     return with_round(campaign, done)
 

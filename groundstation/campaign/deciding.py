@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,11 @@ from groundstation.trajectory import Plan
 from groundstation.vehicle import Inertia, Vehicle
 
 DURATION_S = 40.0
+GENTLE_M_S2 = 1.2
+"""An eighth of gravity: what hangs below leans by seven degrees there, and by some times that where it is driven in its
+own rhythm, so that it neither goes over the top nor lets its cable slack.
+"""
+SWINGS = "a load swings below further than a model follows"
 PLANNABLE = ("rotor_drag", "angular_damping", "com_offset", "flapping_moment", "motor_lag")
 """Effects that a plan weighs beside mass and inertia, where they were found."""
 
@@ -30,12 +35,14 @@ class Decision:
         why: it is flown, a sentence.
         sought: the effect that it is to show after a hint of it, or "".
         untold: what is left open and no motion in this room tells apart, as :func:`left_open` says it, or "".
+        gently: why it keeps below ``GENTLE_M_S2``, or "".
     """
 
     plan: Plan
     why: str
     sought: str = ""
     untold: str = ""
+    gently: str = ""
 
 
 def left_open(findings: Sequence[Document]) -> str:
@@ -112,6 +119,13 @@ def next_plan(
         why = "to judge the model on a flight that no estimate has seen"
     beside = f", with {', '.join(e.replace('_', ' ') for e in effects)} estimated beside it" if effects else ""
     return Decision(plan, why + beside, shows, untold)
+
+
+def gentle_plan(plan: Callable[..., Decision], why: str, limits: Mapping[str, float]) -> Decision:
+    """What a planner decides within gentle limits."""
+    most = min(limits.get("acceleration_max_m_s2", GENTLE_M_S2), GENTLE_M_S2)
+    found = plan(**{**limits, "acceleration_max_m_s2": most})
+    return replace(found, why=f"{found.why}; gently, for {why}", gently=why)
 
 
 def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, float], plan: Plan) -> dict[str, float]:

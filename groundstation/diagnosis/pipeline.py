@@ -120,6 +120,7 @@ def _with_swing(found: Diagnosis, swing: Swing | None) -> Diagnosis:
         verdict="unexplained" if found.verdict in ("clean", "explained") else found.verdict,
         reason=swing.sentence(),
         warnings=(swing.sentence(), *found.warnings),
+        swing={"load_kg": swing.load_kg, "length_m": swing.length_m},
         parameters_after=after,
         covariance_after=covariance,
     )

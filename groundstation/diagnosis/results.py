@@ -129,6 +129,7 @@ class Diagnosis(Tabular):
         candidates: for each effect tried, its held-out gain and why it was kept or dropped.
         would_show: from what size on an effect that is not among the findings would be; only of flights with a plan.
         hints: effects that beat chance and are no findings yet, the likeliest first; only of flights with a plan.
+        swing: "load_kg" and "length_m" of a load that a warning tells of and no finding does; empty without one.
     """
 
     flight: str
@@ -153,6 +154,7 @@ class Diagnosis(Tabular):
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
     would_show: tuple[WouldShow, ...] = ()
     hints: tuple[Hint, ...] = ()
+    swing: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def records(self) -> list[Record]:
         """One row per parameter of each finding, with its 95 % interval and the finding's confidence."""
@@ -195,4 +197,5 @@ class Diagnosis(Tabular):
             "candidates": [dict(c) for c in self.candidates],
             "would_show": [each.to_dict() for each in self.would_show],
             "hints": [each.to_dict() for each in self.hints],
+            "swing": dict(self.swing),
         }
