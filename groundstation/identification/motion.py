@@ -179,6 +179,8 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
             "accelerometer disagree somewhere in this record (a knock, a gap, a clipped sensor). It is left open.",
         ]
         bias, bias_std = np.zeros(3), np.full(3, UNKNOWN_ACCEL_BIAS_M_S2)
+    # What walks from none differs in its mean over a time T from its beginning by a variance of T / 3.
+    walked = found.accel_walk * np.sqrt(max(float(pose.t_s[-1] - pose.t_s[0]), 0.0) / 3.0)
     return Motion(
         t_s=t,
         rate=rate,
@@ -187,7 +189,7 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
         source="imu",
         rate_hz=imu.rate_hz(),
         causal=body_motion(found, rate, lever, causal=True),
-        force_bias_std=bias_std,
+        force_bias_std=np.hypot(bias_std, walked),
         compatibility=found.without_path(),
         clock=clock,
         notes=(*notes, *([] if clock is None else _disagreement(clock)), *([left_out] if dropped else [])),

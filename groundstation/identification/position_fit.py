@@ -39,6 +39,8 @@ _COARSEST = np.array([1e2, 1e3, 1e3])
 """Metres of pose noise, and a hundred g over a second: nothing that is measured is worse."""
 _STEPS = 20
 """Of the search for the noise of positions."""
+_STILL = 1e-3
+"""Walk of an acceleration in the first round of a fit, m/s^2 per root of a second."""
 _INITIAL_M_S2 = 0.3
 """What of an acceleration is unknown at first."""
 
@@ -133,12 +135,17 @@ def _slope(values: Array, t_s: Array, parts: Sequence[slice]) -> Array:
 def _fitted_position(
     error: Array, columns: Array, dt: Array, noise: Array, parts: Sequence[slice]
 ) -> tuple[Array, Array, Array, Array]:
-    """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
+    """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model.
+
+    The first round takes accelerations to walk little: what is not fitted yet looks like one that walks, and a fit by
+    that noise would leave it so.
+    """
     count = columns.shape[2]
     prior = np.concatenate([POSITION_PRIOR, SCALE_PRIOR])[:count]
     values, covariance, residual = np.zeros(count), np.eye(count), error
-    for _ in range(3):
-        noise = _position_noise(residual, dt, noise, parts)
+    noise = np.array([noise[0], noise[1], min(noise[2], _STILL), noise[3]])
+    for number in range(3):
+        noise = noise if number == 0 else _position_noise(residual, dt, noise, parts)
         tight = noise.copy()
         tight[3] = 1e-3  # a constant acceleration is named (bias, tilt), not absorbed
         axes = [

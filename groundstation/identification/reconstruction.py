@@ -38,6 +38,7 @@ class Compatibility:
         quaternion: smoothed attitude of the body at the IMU's stamps, (k, 4); ``causal_quaternion`` is the filter's.
         position_m, velocity_m_s: of the IMU in the world, smoothed, (k, 3); ``causal_*`` likewise.
         pose_noise: white noise of positions (m) and attitudes (rad), standard deviations.
+        accel_walk: by which accelerations walk beside the biases, m/s^2 per root of a second.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,7 @@ class Compatibility:
     causal_velocity_m_s: Annotated[Array, "k 3"]
     revealed: tuple[str, ...]
     pose_noise: tuple[float, float] = (0.0, 0.0)
+    accel_walk: float = 0.0
 
     def without_path(self) -> Compatibility:
         """The numbers alone, where the path of the declared origin is held beside them: it is as long as the flight."""
@@ -84,7 +86,6 @@ def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, s
         attitude.covariance,
         found.values,
         found.covariance,
-        errors.offset_s,
     )
     std = np.sqrt(np.diag(covariance))
     prior = np.concatenate([ATTITUDE_PRIOR, POSITION_PRIOR[2:], SCALE_PRIOR])[: len(names)]
@@ -103,36 +104,29 @@ def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, s
         causal_position_m=found.causal[0],
         causal_velocity_m_s=found.causal[1],
         pose_noise=(float(found.noise[0]), float(attitude.colour.sensor)),
+        accel_walk=float(found.noise[2]),
     )
 
 
-SHARED = 0.5
-"""Correlation of the clock read from attitudes and from positions: between none and all, as the gyro drifts little or
-much.
-"""
-
-
 def _combine(
-    attitude: Array, p_attitude: Array, position: Array, p_position: Array, offset: float
+    attitude: Array, p_attitude: Array, position: Array, p_position: Array
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Join both fits; the clock is in both (attitude as a value, position as a correction to it) and is weighted."""
-    w_a, w_p = np.linalg.inv(p_attitude[:2, :2]), np.linalg.inv(p_position[:2, :2])
-    covariance_clock = np.linalg.inv(w_a + w_p)
-    clock = attitude[:2] + covariance_clock @ (w_p @ position[:2])
-    # The path is integrated along attitudes that were smoothed on the attitude's own clock: the two share part of their
-    # error.
-    half_a, half_p = np.linalg.cholesky(p_attitude[:2, :2]), np.linalg.cholesky(p_position[:2, :2])
-    cross = covariance_clock @ w_a @ (SHARED * half_a @ half_p.T) @ w_p @ covariance_clock
-    # Gyro and accelerometer chains may lag differently: where the two disagree, the interval says so (Birge ratio).
-    disagreement = position[:2] @ np.linalg.solve(p_attitude[:2, :2] + p_position[:2, :2], position[:2]) / 2.0
-    covariance_clock = covariance_clock * max(1.0, float(disagreement)) + cross + cross.T
+    """Join both fits; the clock is in both (attitude as a value, position as a correction to it).
+
+    The path is integrated along attitudes that follow the poses in the frequencies of a flight. Attitudes that come
+    late by d make a path that comes late by d (g theta is integrated twice), so that the correction tells nothing of
+    the clock: the attitude's stands.
+    """
+    # Gyro and accelerometer chains may lag differently: where the correction is more than noise, the interval says so
+    # (Birge ratio).
+    disagreement = position[:2] @ np.linalg.solve(p_position[:2, :2], position[:2]) / 2.0
     names = (*ATTITUDE, *POSITION[2:], *SCALES[: len(position) - len(POSITION)])
-    theta = np.concatenate([clock, attitude[2:], position[2:]])
+    theta = np.concatenate([attitude, position[2:]])
     covariance = np.zeros((len(names), len(names)))
     na = len(ATTITUDE)
     covariance[2:na, 2:na] = p_attitude[2:, 2:]
     covariance[na:, na:] = p_position[2:, 2:]
-    covariance[:2, :2] = covariance_clock
+    covariance[:2, :2] = p_attitude[:2, :2] * max(1.0, float(disagreement))
     return names, theta, covariance
 
 
