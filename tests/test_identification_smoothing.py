@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from groundstation.identification.preparation import prepare
 from groundstation.identification.smoothing import integrated_level
-from groundstation.identification.streams import span_in_the_air
+from groundstation.identification.streams import stretches_in_the_air
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
@@ -65,7 +65,7 @@ def test_a_knock_of_the_ground_and_a_walking_bias_tilt_no_room(seed):
     print("seed", seed)
     vehicle, plan = load_vehicle(find_config("vehicles", "x500")), load_plan(find_config("plans", "qball2"))
     flight = flight_data(simulate(vehicle, plan, laboratory(com_offset={"offset_m": [0.0, 0.009, 0.0]}), seed))
-    begin, end = span_in_the_air(flight)
+    ((begin, end),) = stretches_in_the_air(flight)
     found = prepare(flight).compatibility
     assert found is not None and begin < flight.window_s[0] and end > flight.window_s[1]
     for name in ("mocap_tilt_x_rad", "mocap_tilt_y_rad", "mocap_rotation_x_rad", "mocap_rotation_y_rad"):

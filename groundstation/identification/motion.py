@@ -28,7 +28,8 @@ from groundstation.identification.clock import coarse_offset, rates_from_attitud
 from groundstation.identification.instruments import FlownMotion
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.results import Clock
-from groundstation.identification.streams import clean, origin_poses, span_in_the_air
+from groundstation.identification.streams import clean, origin_poses, stretches_in_the_air
+from groundstation.identification.stretches import within
 from groundstation.linear_filters import both_ways, low_pass
 
 Array = NDArray[np.float64]
@@ -170,17 +171,20 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
     dropped = int((~found.kept).sum())
     left_out = f"{dropped} of {len(found.kept)} poses lay outside the IMU's record or did not fit it and were left out."
     bias, bias_std = (np.array([each[f"accel_bias_{axis}_m_s2"] for axis in "xyz"]) for each in (value, std))
-    if np.any(np.abs(bias) > WORST_ACCEL_BIAS_M_S2):
-        left = tuple(name for name in found.revealed if not name.startswith("accel_bias"))
-        found = replace(found, revealed=left)
+    # What walks from none for a time T has a mean that is off by a variance of T / 3.
+    bias_std = np.hypot(bias_std, found.accel_walk * np.sqrt(float(pose.t_s[-1] - pose.t_s[0]) / 3.0))
+    untold = (bias_std > UNKNOWN_ACCEL_BIAS_M_S2) | np.any(np.abs(bias) > WORST_ACCEL_BIAS_M_S2)
+    if untold.any():
+        axes = [axis for axis, left in zip("xyz", untold, strict=True) if left]
+        left_open = [f"accel_bias_{axis}_m_s2" for axis in axes]
+        found = replace(found, revealed=tuple(name for name in found.revealed if name not in left_open))
         notes = [
             *notes,
-            f"By the poses the accelerometer would be off by {np.linalg.norm(bias):.1f} m/s^2, as none is: poses and "
-            "accelerometer disagree somewhere in this record (a knock, a gap, a clipped sensor). It is left open.",
+            f"By the poses the accelerometer would be off by {np.linalg.norm(bias[untold]):.2f} m/s^2 along "
+            f"{', '.join(axes)}, which they tell no better than what a sensor may be off by anyway "
+            f"({UNKNOWN_ACCEL_BIAS_M_S2:.1f} m/s^2), or which none is off by. It is left open.",
         ]
-        bias, bias_std = np.zeros(3), np.full(3, UNKNOWN_ACCEL_BIAS_M_S2)
-    # What walks from none differs in its mean over a time T from its beginning by a variance of T / 3.
-    walked = found.accel_walk * np.sqrt(max(float(pose.t_s[-1] - pose.t_s[0]), 0.0) / 3.0)
+        bias, bias_std = np.where(untold, 0.0, bias), np.where(untold, UNKNOWN_ACCEL_BIAS_M_S2, bias_std)
     return Motion(
         t_s=t,
         rate=rate,
@@ -189,7 +193,7 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
         source="imu",
         rate_hz=imu.rate_hz(),
         causal=body_motion(found, rate, lever, causal=True),
-        force_bias_std=np.hypot(bias_std, walked),
+        force_bias_std=bias_std,
         compatibility=found.without_path(),
         clock=clock,
         notes=(*notes, *([] if clock is None else _disagreement(clock)), *([left_out] if dropped else [])),
@@ -197,10 +201,8 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
 
 
 def _in_the_air(flight: FlightData, tracked: _Tracked) -> Stream:
-    """Poses between take-off and landing; all where too few lie there."""
-    begin, end = span_in_the_air(flight)
-    t = tracked.pose.t_s - tracked.offset_s
-    flown = (t > begin) & (t < end)
+    """Poses in the air; all where too few are."""
+    flown = within(tracked.pose.t_s - tracked.offset_s, stretches_in_the_air(flight))
     return tracked.pose if flown.all() or flown.sum() < LEAST else tracked.pose.select(flown)
 
 

@@ -57,21 +57,17 @@ def flown_stretches(flight: FlightData, transient_s: float | None = None) -> tup
     if flight.window_s is not None:
         start, end = flight.window_s
         return ((start + (min(TRANSIENT_S, 0.2 * (end - start)) if transient_s is None else transient_s), end),)
-    t, thrust = _thrust(flight)
-    found = airborne(t, thrust)
+    found = stretches_in_the_air(flight)
     if not found:
-        if not np.any(thrust > 0.0):
+        if not np.any(_thrust(flight)[1] > 0.0):
             raise NotIdentifiable("The rotors never made thrust.", "Record a flight.")
         raise NotIdentifiable(f"The vehicle was in the air for less than {SHORTEST_S + 2.0:.0f} s.", "Fly longer.")
     return found
 
 
-def span_in_the_air(flight: FlightData) -> Stretch:
-    """From the first stretch in the air to the end of the last one, by thrust alone, on the motors' clock; without end
-    where thrust tells of none.
-    """
-    found = airborne(*_thrust(flight))
-    return (found[0][0], found[-1][1]) if found else (-np.inf, np.inf)
+def stretches_in_the_air(flight: FlightData) -> tuple[Stretch, ...]:
+    """Stretches in the air by thrust alone, on the motors' clock; none where thrust tells of none."""
+    return airborne(*_thrust(flight))
 
 
 def _thrust(flight: FlightData) -> tuple[Array, Array]:
