@@ -21,15 +21,19 @@ from studies.flown import flight_data
 SEED = 5
 
 
-@pytest.mark.parametrize(("widened", "named"), [(1.0, ["motor_lag"]), (1e4, [])])
-def test_a_lag_is_named_where_its_published_region_does_not_hold_zero(widened: float, named: list[str]):
+def evidence_of(**effects: dict[str, float]) -> Evidence:
+    """Of one flight whose motors are commanded, about its fit."""
     print("seed", SEED)
     vehicle = load_vehicle(find_config("vehicles", "qball2-commanded"))
-    lagged = laboratory(motor_lag={"hover_s": 0.05})
     plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 1.5})
-    flown = for_evidence(prepare(flight_data(simulate(vehicle, plan, lagged, SEED))))
+    flown = for_evidence(prepare(flight_data(simulate(vehicle, plan, laboratory(**effects), SEED))))
     fitted = fit_dynamics([flown])
-    evidence = Evidence([FlightEvidence(flown, fitted.best, fitted.options)])
+    return Evidence([FlightEvidence(flown, fitted.best, fitted.options)])
+
+
+@pytest.mark.parametrize(("widened", "named"), [(1.0, ["motor_lag"]), (1e4, [])])
+def test_a_lag_is_named_where_its_published_region_does_not_hold_zero(widened: float, named: list[str]):
+    evidence = evidence_of(motor_lag={"hover_s": 0.05})
     solution = evidence.solve([])
     published = solution.covariance.copy()
     index = [evidence.names.index(name) for name in NAMES]
@@ -39,20 +43,13 @@ def test_a_lag_is_named_where_its_published_region_does_not_hold_zero(widened: f
 
 @pytest.mark.parametrize(("widened", "named"), [(1.0, ["input_delay", "motor_lag"]), (9.0, ["input_delay"])])
 def test_a_lag_beside_a_dead_time_is_told_by_what_is_published(widened: float, named: list[str]):
-    """Of 8 ms beside 20 ms."""
-    print("seed", SEED)
-    vehicle = load_vehicle(find_config("vehicles", "qball2-commanded"))
-    late = laboratory(motor_lag={"hover_s": 0.008}, input_delay={"delay_s": 0.02})
-    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 1.5})
-    flown = for_evidence(prepare(flight_data(simulate(vehicle, plan, late, SEED))))
-    fitted = fit_dynamics([flown])
-    evidence = Evidence([FlightEvidence(flown, fitted.best, fitted.options)])
-    solution = evidence.solve([])
-    published = solution.covariance.copy()
+    """Of 8 ms beside 20 ms; by ten deviations, or a third of that."""
+    evidence = evidence_of(motor_lag={"hover_s": 0.008}, input_delay={"delay_s": 0.02})
+    solution, p = evidence.solve([]), evidence.flights[0].parameters
     index = [evidence.names.index(name) for name in NAMES]
-    p = fitted.best.parameters
     lags = np.array([p.lag_up_s, p.lag_down_s]) + solution.theta[index[:2]]
+    published = solution.covariance.copy()
     told = lags.sum() / float(np.sqrt(published[np.ix_(index[:2], index[:2])].sum()))
-    published[np.ix_(index, index)] *= widened * (told / 10.0) ** 2  # ten deviations, or a third of that
+    published[np.ix_(index, index)] *= widened * (told / 10.0) ** 2
     found = lag_findings(evidence, solution, published)
     assert sorted(finding.effect for finding in found) == named
