@@ -142,7 +142,7 @@ def test_a_campaign_ends_where_no_motion_tells_what_is_left_open(tmp_path: Path)
     on = ending.with_round(begun, done)
     assert not on.outcome and on.rounds[-1].not_settled == (f"left open: {UNTOLD}",)
     ended = ending.with_round(on, replace(done, untold=UNTOLD))
-    assert ended.outcome == "limit" and f"no motion in this room tells it: {UNTOLD}" in ended.sentence
+    assert ended.outcome == "limit" and f"no flight was found that tells it: {UNTOLD}" in ended.sentence
     unsharp = replace(done, untold=UNTOLD, reached={"mass_kg": 2.0})
     assert not ending.with_round(on, unsharp).outcome, "a target that flights still sharpen"
     other = replace(done, untold="motor_lag or input_delay")

@@ -74,7 +74,7 @@ def _against(campaign: Campaign, done: Round) -> list[str]:
 def _untold(done: Round) -> list[str]:
     """What is left open and was when this flight was planned, where no motion told it apart."""
     rivals = left_open(done.findings)
-    return [f"left open, and no motion in this room tells it: {rivals}"] if rivals and rivals == done.untold else []
+    return [f"left open, and no flight was found that tells it: {rivals}"] if rivals and rivals == done.untold else []
 
 
 def _not_sharp(done: Round) -> list[str]:

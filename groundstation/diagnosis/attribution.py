@@ -200,9 +200,9 @@ class Selection:
         there = {c.identifier for c, _ in (*self.baseline, *chosen)}
         return not candidate.effect.rests_on or bool(there.intersection(candidate.effect.rests_on))
 
-    def _best_addition(self, chosen: Sequence[Entry], refuted: Set[str] = frozenset()) -> Entry | None:
+    def _best_addition(self, chosen: Sequence[Entry]) -> Entry | None:
         """What shows most beside a set; None where nothing does."""
-        entries = self._others(chosen, refuted)
+        entries = self._others(chosen, frozenset())
         margins = self._margins_of_each(chosen, entries)
         best = int(np.argmax(margins)) if entries else 0
         return entries[best] if entries and margins[best] > 0.0 else None
